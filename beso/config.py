@@ -1,0 +1,88 @@
+"""Frozen configuration objects from plain mappings, checked when built.
+
+Every mistake becomes one line with the key, the value and what is allowed.
+"""
+
+import dataclasses
+import types
+from collections.abc import Mapping
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from beso.errors import UserError
+
+Config = TypeVar("Config")
+
+
+def build(cls: type[Config], values: Any, where: str) -> Config:
+    """Make a frozen dataclass from a mapping.
+
+    Args:
+        cls: a dataclass whose fields are int, float, bool, str, Literal, X | None, tuple[X, ...], dict[str, X],
+            other such dataclasses, or Any (taken as it is). A ValueError from its __post_init__ is reported as a
+            mistake in the mapping.
+        values: the mapping.
+        where: name of the mapping, for messages.
+
+    Raises:
+        UserError: unknown key, missing key, wrong type, or a value the dataclass refuses.
+    """
+    if not isinstance(values, Mapping):
+        raise UserError(f"{where} = {values!r}: expected a mapping")
+    hints = get_type_hints(cls)
+    fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    for key in values:
+        if key not in fields:
+            raise UserError(f"{where}.{key} = {values[key]!r}: unknown key; allowed are {', '.join(fields) or 'none'}")
+    missing = [name for name, f in fields.items() if name not in values and f.default is dataclasses.MISSING]
+    if missing:
+        raise UserError(f"{where}.{missing[0]} is missing: expected {_describe(hints[missing[0]])}")
+    arguments = {key: _convert(hints[key], value, f"{where}.{key}") for key, value in values.items()}
+    try:
+        return cls(**arguments)
+    except ValueError as error:
+        raise UserError(f"{where}: {error}") from None
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    origin, arguments = get_origin(hint), get_args(hint)
+    if hint is Any:
+        return value
+    if dataclasses.is_dataclass(hint):
+        return build(hint, value, where)  # type: ignore[arg-type]
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in arguments:
+            return None
+        inner = [a for a in arguments if a is not type(None)]
+        return _convert(inner[0], value, where)
+    if origin is tuple and isinstance(value, (list, tuple)):
+        return tuple(_convert(arguments[0], item, f"{where}[{i}]") for i, item in enumerate(value))
+    if origin is dict and isinstance(value, Mapping):
+        return {str(key): _convert(arguments[1], item, f"{where}.{key}") for key, item in value.items()}
+    if origin is Literal and value in arguments:
+        return value
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    if hint is int and isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if hint in (str, bool) and isinstance(value, hint):
+        return value
+    raise UserError(f"{where} = {value!r}: expected {_describe(hint)}")
+
+
+def _describe(hint: Any) -> str:
+    origin, arguments = get_origin(hint), get_args(hint)
+    if dataclasses.is_dataclass(hint) or origin is dict or hint is Any:
+        return "a mapping"
+    if origin in (Union, types.UnionType):
+        return " or ".join("null" if a is type(None) else _describe(a) for a in arguments)
+    if origin is tuple:
+        return f"a list, each item {_describe(arguments[0])}"
+    if origin is Literal:
+        return "one of " + ", ".join(str(a) for a in arguments)
+    return {int: "an integer", float: "a number", bool: "true or false", str: "text"}[hint]
+
+
+def require(condition: bool, message: str) -> None:
+    """Raise ValueError(message) unless the condition holds; for __post_init__ checks."""
+    if not condition:
+        raise ValueError(message)

@@ -1,0 +1,80 @@
+"""Scaling of what goes into a policy and what comes out of it.
+
+Observations and goals are z-scored per dimension; actions are mapped to [-1, 1] by their range (paper, appendix
+"Normalization"). Statistics come from the training episodes alone.
+"""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from beso.data.play import PlayDataset
+from beso.data.spec import PlaySpec
+
+CLIP = 1.1  # predicted actions may leave the data's range by a tenth (published code)
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Statistics of the visible observation dimensions and of the actions, as plain numbers."""
+
+    visible: tuple[int, ...]
+    goal_masked: tuple[int, ...]
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+    action_low: tuple[float, ...]
+    action_high: tuple[float, ...]
+
+    @classmethod
+    def fit(cls, dataset: PlayDataset, episodes: np.ndarray, spec: PlaySpec) -> "Scaling":
+        """Statistics over all steps of `episodes`."""
+        chosen = np.zeros(len(dataset), dtype=bool)
+        chosen[episodes] = True
+        steps = np.repeat(chosen, dataset.lengths)
+        observations = dataset.observations[steps][:, spec.visible].astype(np.float64)
+        actions = dataset.actions[steps].astype(np.float64)
+        std = observations.std(axis=0)
+        span = actions.max(axis=0) - actions.min(axis=0)
+        return cls(
+            visible=spec.visible,
+            goal_masked=spec.goal_masked,
+            mean=tuple(observations.mean(axis=0).tolist()),
+            std=tuple(np.where(std > 0, std, 1.0).tolist()),
+            action_low=tuple(actions.min(axis=0).tolist()),
+            action_high=tuple((actions.min(axis=0) + np.where(span > 0, span, 1.0)).tolist()),
+        )
+
+    def as_dict(self) -> dict[str, list]:
+        """For JSON."""
+        return {key: list(value) for key, value in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, list]) -> "Scaling":
+        """From JSON."""
+        return cls(**{key: tuple(value) for key, value in values.items()})
+
+    def observations(self, raw: Tensor) -> Tensor:
+        """(..., observation_size) raw -> (..., visible) z-scored."""
+        return (raw[..., list(self.visible)] - raw.new_tensor(self.mean)) / raw.new_tensor(self.std)
+
+    def goals(self, raw: Tensor) -> Tensor:
+        """(..., observation_size) raw states -> (..., visible) z-scored goals, masked dimensions zero."""
+        return self.mask_goals(self.observations(raw))
+
+    def mask_goals(self, scaled: Tensor) -> Tensor:
+        """Zero the masked dimensions of scaled states."""
+        keep = torch.ones(len(self.visible), dtype=scaled.dtype, device=scaled.device)
+        keep[list(self.goal_masked)] = 0
+        return scaled * keep
+
+    def actions(self, raw: Tensor) -> Tensor:
+        """(..., action_size) raw -> [-1, 1]."""
+        low, high = raw.new_tensor(self.action_low), raw.new_tensor(self.action_high)
+        return 2 * (raw - low) / (high - low) - 1
+
+    def raw_actions(self, scaled: Tensor) -> Tensor:
+        """(..., action_size) scaled actions -> raw."""
+        low, high = scaled.new_tensor(self.action_low), scaled.new_tensor(self.action_high)
+        return low + (scaled + 1) / 2 * (high - low)

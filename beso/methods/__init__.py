@@ -1,0 +1,54 @@
+"""The methods of the paper's comparison, one module each, named as in `grid.methods`.
+
+A module defines
+
+    Config       what shapes the network (`methods.<name>.train.<env>.model`); has a `window`, the longest context
+    Sampling     what only action generation needs (`methods.<name>.sample.<env>`)
+    Method       the policy
+
+Modules are imported by name, so that a pipeline cell depends on its own method's file and on no other's.
+"""
+
+import importlib
+import pkgutil
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from beso.data.spec import Sizes
+from beso.data.windows import Batch
+from beso.errors import UserError
+from beso.noise import Noise
+
+
+class Method(Protocol):
+    """What training and rollouts ask of a policy. All tensors are scaled."""
+
+    def __init__(self, config: Any, sampling: Any, sizes: Sizes, generator: torch.Generator) -> None:
+        """`sampling` None means the method's default, with which validation errors are measured."""
+
+    def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:
+        """Loss of a batch, a scalar, with random numbers from `generator`; dropout only in training mode."""
+
+    def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise) -> Tensor:
+        """(B, T, O), (B, T-1, A), (B, G, O) -> next action (B, A)."""
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Weights by name."""
+
+
+def names() -> list[str]:
+    """Names of all methods."""
+    return sorted(m.name for m in pkgutil.iter_modules(__path__))
+
+
+def load(name: str) -> Any:
+    """The module of one method.
+
+    Raises:
+        UserError: no such method.
+    """
+    if name not in names():
+        raise UserError(f"method {name!r} is not one of {', '.join(names())}")
+    return importlib.import_module(f"beso.methods.{name}")

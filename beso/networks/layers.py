@@ -1,0 +1,32 @@
+"""Small parts shared by the networks."""
+
+import torch
+from torch import Tensor, nn
+
+
+class Dropout(nn.Module):
+    """Dropout that draws from a given generator and does nothing without one."""
+
+    def __init__(self, rate: float) -> None:
+        super().__init__()
+        self.rate = rate
+
+    def forward(self, x: Tensor, generator: torch.Generator | None) -> Tensor:
+        """x of any shape."""
+        if generator is None or self.rate == 0:
+            return x
+        keep = torch.empty_like(x).bernoulli_(1 - self.rate, generator=generator)
+        return x * keep.div_(1 - self.rate)
+
+
+def initialise_normal(module: nn.Module, generator: torch.Generator, std: float = 0.02) -> None:
+    """GPT-2's start: weights and tables N(0, std^2), biases 0, layer norms 1 and 0."""
+    norms = {id(p) for m in module.modules() if isinstance(m, nn.LayerNorm) for p in m.parameters()}
+    with torch.no_grad():
+        for name, parameter in module.named_parameters():
+            if id(parameter) in norms:
+                parameter.fill_(1.0 if name.endswith("weight") else 0.0)
+            elif name.endswith("bias"):
+                parameter.zero_()
+            else:
+                parameter.normal_(0, std, generator=generator)

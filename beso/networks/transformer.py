@@ -1,0 +1,194 @@
+"""The score transformer F of BESO (paper, Sec. IV "Model Architecture" and Fig. 1).
+
+A causal transformer over one sequence. Sequential conditioning puts the goal in front:
+
+    [sigma, g_1 .. g_G, s_1, a_1, s_2, a_2, .., s_T, a_T]         1 + G + 2T tokens
+
+and reads the prediction for action t off its own token, which sees sigma, all goals, the states up to t and the noisy
+actions up to t. FiLM conditioning (Perez et al. 2018) drops the goal tokens; a small network a block turns the goal
+into a scale and a shift of the two normalised inputs instead.
+
+States and goals share one embedding; s_t and a_t share one position; the sigma token has none.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from beso.config import require
+from beso.networks.layers import Dropout, initialise_normal
+
+
+@dataclass(frozen=True)
+class TransformerConfig:
+    """Size of the transformer.
+
+    Attributes:
+        width: size of a token; a multiple of `heads`.
+        layers, heads: number of blocks and of attention heads.
+        window: largest number of time steps T.
+        attention_dropout, residual_dropout: rates.
+        conditioning: "sequential" (goal tokens) or "film".
+    """
+
+    width: int
+    layers: int
+    heads: int
+    window: int
+    attention_dropout: float
+    residual_dropout: float
+    conditioning: Literal["sequential", "film"]
+
+    def __post_init__(self) -> None:
+        for name in ("width", "layers", "heads", "window"):
+            require(getattr(self, name) >= 1, f"{name} = {getattr(self, name)}: must be at least 1")
+        require(self.width % self.heads == 0, f"heads = {self.heads}: must divide width = {self.width}")
+        for name in ("attention_dropout", "residual_dropout"):
+            require(0 <= getattr(self, name) < 1, f"{name} = {getattr(self, name)}: must be in [0, 1)")
+
+
+class Attention(nn.Module):
+    """Causal multi-head self-attention with biases."""
+
+    def __init__(self, config: TransformerConfig) -> None:
+        super().__init__()
+        self.heads = config.heads
+        self.query_key_value = nn.Linear(config.width, 3 * config.width)
+        self.output = nn.Linear(config.width, config.width)
+        self.dropout = Dropout(config.attention_dropout)
+        self.residual_dropout = Dropout(config.residual_dropout)
+
+    def forward(self, x: Tensor, last_only: bool, generator: torch.Generator | None) -> Tensor:
+        """(B, L, d) -> (B, L, d), or (B, 1, d) for the last position alone."""
+        batch, length, width = x.shape
+        weight, bias = self.query_key_value.weight, self.query_key_value.bias
+        if last_only:
+            query = functional.linear(x[:, -1:], weight[:width], bias[:width])
+            key, value = functional.linear(x, weight[width:], bias[width:]).split(width, dim=-1)
+        else:
+            query, key, value = self.query_key_value(x).split(width, dim=-1)
+
+        def by_head(y: Tensor) -> Tensor:
+            return y.view(batch, -1, self.heads, width // self.heads).transpose(1, 2)
+
+        query, key, value = by_head(query), by_head(key), by_head(value)
+        if generator is None or self.dropout.rate == 0:
+            y = functional.scaled_dot_product_attention(query, key, value, is_causal=not last_only)
+        else:
+            # The fused kernel would draw its dropout from torch's global generator.
+            scores = query @ key.transpose(-2, -1) / math.sqrt(width // self.heads)
+            future = torch.ones(length, length, dtype=torch.bool, device=x.device).triu(1)
+            weights = scores.masked_fill(future, -math.inf).softmax(dim=-1)
+            y = self.dropout(weights, generator) @ value
+        return self.residual_dropout(self.output(y.transpose(1, 2).reshape(batch, -1, width)), generator)
+
+
+class Block(nn.Module):
+    """Pre-norm transformer block; with FiLM, the goal scales and shifts both normalised inputs."""
+
+    def __init__(self, config: TransformerConfig, film_inputs: int | None) -> None:
+        super().__init__()
+        width = config.width
+        self.attention_norm, self.mlp_norm = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.attention = Attention(config)
+        self.expand, self.contract = nn.Linear(width, 4 * width), nn.Linear(4 * width, width)
+        self.residual_dropout = Dropout(config.residual_dropout)
+        self.film = None
+        if film_inputs is not None:
+            self.film_output = nn.Linear(width, 4 * width)
+            self.film = nn.Sequential(nn.Linear(film_inputs, width), nn.ReLU(), self.film_output)
+
+    def start_unconditional(self) -> None:
+        """Zero what FiLM adds, so that training starts from the network without a goal."""
+        if self.film is not None:
+            nn.init.zeros_(self.film_output.weight)
+
+    def forward(self, x: Tensor, goal: Tensor, last_only: bool, generator: torch.Generator | None) -> Tensor:
+        """x (B, L, d), goal (B, G, O) -> (B, L, d), or (B, 1, d) for the last position alone."""
+        normed = self.attention_norm(x)
+        if self.film is not None:
+            gamma_1, beta_1, gamma_2, beta_2 = self.film(goal.flatten(1)).unsqueeze(1).chunk(4, dim=-1)
+            normed = normed * (1 + gamma_1) + beta_1
+        if last_only:
+            x = x[:, -1:]
+        x = x + self.attention(normed, last_only, generator)
+        normed = self.mlp_norm(x)
+        if self.film is not None:
+            normed = normed * (1 + gamma_2) + beta_2
+        return x + self.residual_dropout(self.contract(functional.gelu(self.expand(normed))), generator)
+
+
+class ScoreTransformer(nn.Module):
+    """The inner network F(c_in a, s, g, c_noise).
+
+    Args:
+        config: size and conditioning.
+        observation_size, action_size, goal_window: widths of states (and goals) and of actions; states in a goal.
+        generator: initial weights are drawn from it.
+    """
+
+    def __init__(
+        self,
+        config: TransformerConfig,
+        observation_size: int,
+        action_size: int,
+        goal_window: int,
+        generator: torch.Generator,
+    ) -> None:
+        super().__init__()
+        film = config.conditioning == "film"
+        self.goal_tokens = 0 if film else goal_window
+        self.embed_state = nn.Linear(observation_size, config.width)
+        self.embed_action = nn.Linear(action_size, config.width)
+        self.embed_sigma = nn.Linear(1, config.width)
+        # One entry more than there are positions, as in the published network, so that parameter counts agree.
+        self.position = nn.Parameter(torch.empty(1, self.goal_tokens + config.window + 1, config.width))
+        film_inputs = goal_window * observation_size if film else None
+        blocks = [Block(config, film_inputs) for _ in range(config.layers)]
+        self.blocks = nn.ModuleList(blocks)
+        self.norm = nn.LayerNorm(config.width)
+        self.head = nn.Linear(config.width, action_size)
+        initialise_normal(self, generator)
+        for block in blocks:
+            block.start_unconditional()
+
+    def forward(
+        self,
+        actions: Tensor,
+        noise_level: Tensor,
+        observations: Tensor,
+        goal: Tensor,
+        last_only: bool = False,
+        generator: torch.Generator | None = None,
+    ) -> Tensor:
+        """Predict for all actions, or for the last one only.
+
+        Args:
+            actions: (B, T, A) noisy actions times c_in; T at most the window.
+            noise_level: (B,) c_noise.
+            observations: (B, T, O).
+            goal: (B, G, O).
+            last_only: compute only what the last action needs in the last block.
+            generator: turns dropout on and feeds it.
+
+        Returns:
+            (B, T, A), or (B, 1, A).
+        """
+        batch, steps, _ = actions.shape
+        goals, position = self.goal_tokens, self.position
+        at_steps = position[:, goals : goals + steps]
+        states = self.embed_state(observations) + at_steps
+        pairs = torch.stack([states, self.embed_action(actions) + at_steps], dim=2)  # (B, T, 2, d)
+        tokens = [self.embed_sigma(noise_level.view(batch, 1, 1)), pairs.view(batch, 2 * steps, -1)]
+        if goals:
+            tokens.insert(1, self.embed_state(goal) + position[:, :goals])
+        x = torch.cat(tokens, dim=1)
+        for i, block in enumerate(self.blocks):
+            x = block(x, goal, last_only and i == len(self.blocks) - 1, generator)
+        if not last_only:
+            x = x[:, 2 + goals :: 2]  # the action tokens
+        return self.head(self.norm(x))

@@ -1,0 +1,37 @@
+"""Where things live, relative to the repository's root, from where every command runs."""
+
+from pathlib import Path
+
+SCRATCH = Path(".scratch")
+REPORTS = Path("reports")
+LATENCY = Path("results/latency.csv")
+
+
+def play(environment: str) -> Path:
+    """The play dataset."""
+    return Path("data/play") / environment
+
+
+def models(environment: str, method: str) -> Path:
+    """Trained models of one cell."""
+    return Path("models") / environment / method
+
+
+def curve(environment: str, method: str) -> Path:
+    """Training curves of one cell."""
+    return Path("curves") / environment / f"{method}.csv"
+
+
+def episodes(environment: str, method: str) -> Path:
+    """Evaluation of one cell, a row an episode."""
+    return Path("results") / environment / f"{method}.csv"
+
+
+def metrics(environment: str, method: str) -> Path:
+    """Evaluation of one cell, means and deviations."""
+    return Path("metrics") / environment / f"{method}.json"
+
+
+def videos(environment: str, method: str) -> Path:
+    """A folder with films of one cell; empty where none were asked for."""
+    return Path("videos") / environment / method

@@ -1,0 +1,68 @@
+"""A pool of worker processes for independent jobs, one torch thread each.
+
+Results come back in the order of the jobs, whatever the number of workers: every job takes its randomness from its own
+arguments, so the number of workers never changes a number.
+"""
+
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
+
+import torch
+from tqdm import tqdm
+
+Result = TypeVar("Result")
+
+
+def available_workers() -> int:
+    """Number of processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def map_jobs(
+    function: Callable[..., Result], jobs: Iterable[tuple[Any, ...]], workers: int, description: str = ""
+) -> Iterator[Result]:
+    """Yield `function(*job)` for each job, in order, from `workers` processes (0: one a processor).
+
+    `function` must be importable. An exception in a job is raised here and ends the other workers. One worker means
+    this process, so that a debugger can follow.
+    """
+    jobs = list(jobs)
+    workers = min(workers or available_workers(), len(jobs))
+    progress = tqdm(total=len(jobs), desc=description, disable=None, file=sys.stderr)
+    with progress:
+        if workers <= 1:
+            threads = torch.get_num_threads()
+            torch.set_num_threads(1)
+            try:
+                for job in jobs:
+                    yield function(*job)
+                    progress.update()
+            finally:
+                torch.set_num_threads(threads)
+            return
+        # Spawned, not forked: PyBullet and torch keep threads and locks that a fork would copy half-way.
+        context = multiprocessing.get_context("spawn")
+        with context.Pool(workers, initializer=_start_worker) as pool:
+            for result in pool.imap(_Call(function), jobs):
+                yield result
+                progress.update()
+
+
+class _Call:
+    """`function(*job)` as a picklable function of one argument."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function = function
+
+    def __call__(self, job: tuple[Any, ...]) -> Any:
+        return self.function(*job)
+
+
+def _start_worker() -> None:
+    """One thread a worker: two threads on two busy cores run many times slower than one each."""
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle; it ends the pool

@@ -1,0 +1,73 @@
+"""`python -m pipeline.profile NAME` writes params.yaml from profiles/paper.yaml and what profiles/NAME.yaml changes.
+
+Comments are kept, and every leaf that changes in params.yaml is printed.
+"""
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from beso.errors import UserError
+from beso.files import write_text
+from pipeline import params
+from pipeline.stage import run
+
+FOLDER = Path("profiles")
+COMPLETE = "paper"
+
+
+def render(name: str) -> str:
+    """The text of params.yaml for one profile.
+
+    Raises:
+        UserError: no such profile, it changes a key that the complete profile lacks, or its values do not check.
+    """
+    available = sorted(path.stem for path in FOLDER.glob("*.yaml"))
+    if name not in available:
+        raise UserError(f"profile {name!r} is not one of {', '.join(available)}")
+    yaml = YAML()
+    yaml.width = 120
+    values = yaml.load((FOLDER / f"{COMPLETE}.yaml").read_text(encoding="utf-8"))
+    if name != COMPLETE:
+        changes = params.read_yaml(FOLDER / f"{name}.yaml")
+        _merge(values, changes, f"profiles/{name}.yaml")
+    text = io.StringIO()
+    yaml.dump(values, text)
+    params.parse(YAML(typ="safe").load(text.getvalue()), f"profile {name}")
+    return text.getvalue()
+
+
+def leaves(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """All leaves of nested mappings, with dotted keys."""
+    if isinstance(values, dict) and values:
+        for name, value in values.items():
+            yield from leaves(value, f"{key}.{name}" if key else str(name))
+    else:
+        yield key, values
+
+
+def _merge(values: Any, changes: Any, where: str) -> None:
+    for key, value in changes.items():
+        if key not in values:
+            raise UserError(f"{where}: {key} is not a key of profiles/{COMPLETE}.yaml there")
+        if isinstance(value, dict) and isinstance(values[key], dict):
+            _merge(values[key], value, f"{where}.{key}")
+        else:
+            values[key] = value
+
+
+def main(name: str) -> None:
+    text = render(name)
+    before = dict(leaves(params.read_yaml(params.PATH))) if params.PATH.exists() else {}
+    write_text(params.PATH, text)
+    after = dict(leaves(params.read_yaml(params.PATH)))
+    for key in sorted(before.keys() | after.keys()):
+        if before.get(key) != after.get(key):
+            print(f"{key}: {before.get(key)} -> {after.get(key)}")
+
+
+if __name__ == "__main__":
+    run(main, "profile")

@@ -1,0 +1,33 @@
+"""Unfinished work that outlives a killed stage.
+
+DVC deletes a stage's outputs when it starts, so unfinished training lives elsewhere: in `.scratch/<fingerprint>/`,
+which git and DVC ignore. The fingerprint covers everything the result depends on, so that work is never continued with
+other parameters, data or code.
+"""
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import beso
+from pipeline import paths
+
+
+def folder(*parts: Any) -> Path:
+    """The scratch folder for work that depends on `parts` (JSON values) and on the library's code.
+
+    The environment variable BESO_SCRATCH names another place than `.scratch`.
+    """
+    text = json.dumps([*parts, _code_digest()], sort_keys=True)
+    name = hashlib.sha256(text.encode()).hexdigest()[:16]
+    return Path(os.environ.get("BESO_SCRATCH", paths.SCRATCH)).absolute() / name
+
+
+def _code_digest() -> str:
+    digest = hashlib.sha256()
+    root = Path(beso.__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()

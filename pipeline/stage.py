@@ -1,0 +1,37 @@
+"""What every command of this project does around its work: logging, and mistakes as one line and an exit code."""
+
+import errno
+import logging
+import os
+import sys
+from collections.abc import Callable
+
+from beso.errors import UserError
+
+
+def run(main: Callable[..., None], *arguments: str) -> None:
+    """Call `main` with the command line's arguments, as strings. Exit 1 after a user's mistake, 130 after Ctrl-C.
+
+    Args:
+        arguments: names of the positional arguments, for the usage line.
+    """
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    given = sys.argv[1:]
+    if len(given) != len(arguments):
+        _fail("usage: " + " ".join([os.path.basename(sys.argv[0]), *(name.upper() for name in arguments)]), 2)
+    try:
+        main(*given)
+    except KeyboardInterrupt:
+        _fail("interrupted; finished work is kept, run the same command again to continue", 130)
+    except UserError as error:
+        _fail(f"error: {error}", 1)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS):
+            raise
+        where = f": {error.filename}" if error.filename else ""
+        _fail(f"error: {os.strerror(error.errno)}{where}; nothing was replaced", 1)
+
+
+def _fail(message: str, code: int) -> None:
+    print(message, file=sys.stderr)
+    sys.exit(code)

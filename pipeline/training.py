@@ -1,0 +1,55 @@
+"""Training of one cell: its seeds side by side in worker processes, each resumable."""
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import pandas as pd
+
+from beso import checkpoint
+from beso.data import play
+from beso.data.spec import spec
+from beso.files import replacing, write_text
+from beso.training import TrainingJob, pick_device, train
+from pipeline import paths, scratch
+from pipeline.params import Params
+from pipeline.pool import map_jobs
+
+
+def train_cell(params: Params, environment: str, method: str) -> None:
+    """Train every seed of one cell and write its models and curves.
+
+    Finished seeds and the state of unfinished ones wait in the scratch folder until all are done.
+    """
+    data = paths.play(environment)
+    digest = play.data_digest(play.load(data, spec(environment)))
+    jobs = [params.job(environment, method, seed) for seed in params.seeds]
+    folders = [scratch.folder("train", environment, dataclasses.asdict(job), digest) for job in jobs]
+    arguments = [(job, environment, data, params.machine.device, f) for job, f in zip(jobs, folders, strict=True)]
+    for _ in map_jobs(train_seed, arguments, params.machine.workers, f"train {environment} {method}"):
+        pass
+
+    with replacing(paths.models(environment, method)) as models:
+        models.mkdir()
+        for finished in folders:
+            for path in finished.glob("seed*"):
+                shutil.copyfile(path, models / path.name)
+    rows = []
+    for job in jobs:
+        curve = checkpoint.load_description(paths.models(environment, method), job.seed)["curve"]
+        rows += [{"seed": job.seed, **row} for row in curve]
+    write_text(paths.curve(environment, method), pd.DataFrame(rows).to_csv(index=False))
+    for finished in folders:
+        shutil.rmtree(finished)
+
+
+def train_seed(job: TrainingJob, environment: str, data: Path, device: str, folder: Path) -> None:
+    """Train one model into `folder`, unless it is there already."""
+    if checkpoint.paths(folder, job.seed)[1].exists():
+        return
+    environment_spec = spec(environment)
+    dataset = play.load(data, environment_spec)
+    state = folder / "state.safetensors"
+    trained = train(job, dataset, environment_spec, pick_device(device), state)
+    checkpoint.save(folder, job, trained, play.data_digest(dataset))
+    state.unlink(missing_ok=True)
