@@ -15,7 +15,8 @@ from beso.data.scaling import Scaling
 from beso.data.spec import PlaySpec
 from beso.errors import UserError
 from beso.files import replacing, write_json
-from beso.training import Trained, TrainingJob
+from beso.training import Trained
+from beso.training_config import TrainingJob
 
 
 def paths(folder: Path, seed: int) -> tuple[Path, Path]:

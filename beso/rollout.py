@@ -20,7 +20,8 @@ from beso.data.spec import spec
 from beso.evaluation import Chunk, EvaluationConfig
 from beso.noise import EpisodeNoise, Noise
 from beso.seeding import generator, integer_seed
-from beso.training import TrainingJob, pick_device, split
+from beso.training import pick_device, split
+from beso.training_config import TrainingJob
 
 
 class Agent:

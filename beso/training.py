@@ -7,11 +7,10 @@ run that is killed continues from it and ends with the same bytes as an undistur
 import copy
 import json
 import logging
-import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import safetensors.torch
@@ -20,8 +19,7 @@ from safetensors import safe_open
 from torch import Tensor
 from tqdm import trange
 
-from beso import methods
-from beso.config import require
+from beso import methods, optimizers
 from beso.data.play import PlayDataset, split_episodes
 from beso.data.scaling import Scaling
 from beso.data.spec import PlaySpec
@@ -29,95 +27,11 @@ from beso.data.windows import Batch, Windows
 from beso.files import replacing
 from beso.noise import BatchNoise
 from beso.seeding import generator, torch_generator
+from beso.training_config import TrainingJob
 
 log = logging.getLogger(__name__)
 
 SAVE_SECONDS = 60.0
-STEP_DECAY_EVERY, STEP_DECAY = 100, 0.99  # the published code's StepLR
-
-
-@dataclass(frozen=True)
-class OptimizationConfig:
-    """How a method is optimised.
-
-    Attributes:
-        steps, batch_size: number of updates and samples an update.
-        optimizer: "adam" or "adamw" (decoupled weight decay).
-        learning_rate, weight_decay: for all parameters.
-        schedule: "constant", "cosine" (to 0 at the last step) or "step" (times 0.99 every 100 steps).
-        ema_decay: of the averaged weights, which are the ones saved; 0 saves the last weights. At step n the decay is
-            min(ema_decay, (1 + n) / (10 + n)).
-        precision: "fp32", or "bf16" for autocast.
-    """
-
-    steps: int
-    batch_size: int
-    optimizer: Literal["adam", "adamw"]
-    learning_rate: float
-    weight_decay: float
-    schedule: Literal["constant", "cosine", "step"]
-    ema_decay: float
-    precision: Literal["fp32", "bf16"]
-
-    def __post_init__(self) -> None:
-        require(self.steps >= 1, f"steps = {self.steps}: must be at least 1")
-        require(self.batch_size >= 1, f"batch_size = {self.batch_size}: must be at least 1")
-        require(self.learning_rate > 0, f"learning_rate = {self.learning_rate}: must be above 0")
-        require(self.weight_decay >= 0, f"weight_decay = {self.weight_decay}: must not be negative")
-        require(0 <= self.ema_decay < 1, f"ema_decay = {self.ema_decay}: must be in [0, 1)")
-
-    def learning_rate_at(self, step: int) -> float:
-        """The learning rate of update `step`, counted from 0."""
-        if self.schedule == "cosine":
-            return self.learning_rate * (1 + math.cos(math.pi * step / self.steps)) / 2
-        if self.schedule == "step":
-            return self.learning_rate * STEP_DECAY ** (step // STEP_DECAY_EVERY)
-        return self.learning_rate
-
-
-@dataclass(frozen=True)
-class ValidationConfig:
-    """Held-out measurements during training.
-
-    Attributes:
-        every: steps between two measurements; there is always one after the last step.
-        windows: number of held-out windows measured, the same ones every time.
-    """
-
-    every: int
-    windows: int
-
-    def __post_init__(self) -> None:
-        require(self.every >= 1, f"every = {self.every}: must be at least 1")
-        require(self.windows >= 1, f"windows = {self.windows}: must be at least 1")
-
-
-@dataclass(frozen=True)
-class TrainingConfig:
-    """Everything that shapes one method's trained weights on one environment, besides data and seed."""
-
-    model: Any
-    optimization: OptimizationConfig
-
-
-@dataclass(frozen=True)
-class TrainingJob:
-    """One training run.
-
-    Attributes:
-        method: name of the method's module.
-        config: its configuration.
-        validation: held-out measurements.
-        train_fraction: share of the episodes used for training.
-        root_seed, seed: the project's seed and this model's number.
-    """
-
-    method: str
-    config: TrainingConfig
-    validation: ValidationConfig
-    train_fraction: float
-    root_seed: int
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -160,15 +74,12 @@ def train(job: TrainingJob, dataset: PlayDataset, spec: PlaySpec, device: torch.
     method = methods.load(job.method).Method(model, None, spec.sizes, initial).to(device).train()
     averaged = copy.deepcopy(method).eval().requires_grad_(False)
     parameters, averages = list(method.parameters()), list(averaged.parameters())
-    optimizer_class = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}[optimization.optimizer]
-    optimizer = optimizer_class(
-        parameters, lr=optimization.learning_rate, weight_decay=optimization.weight_decay, fused=True
-    )
+    updates = optimizers.make(optimization.optimizer, parameters, optimization.learning_rate, optimization.weight_decay)
 
     # Resumable state
     draws = torch_generator(job.root_seed, "training", job.seed, device=device)
     loss_sum = torch.zeros((), device=device)
-    loop = _LoopState(method, averaged, optimizer, draws, loss_sum)
+    loop = _LoopState(method, averaged, updates, draws, loss_sum)
     first_step, curve = loop.load(state_path)
     name = f"{job.method} seed {job.seed}"
     if first_step:
@@ -181,14 +92,16 @@ def train(job: TrainingJob, dataset: PlayDataset, spec: PlaySpec, device: torch.
     ):
         # One update
         rate = optimization.learning_rate_at(step)
-        for group in optimizer.param_groups:
-            group["lr"] = rate
+        for optimizer in updates:
+            for group in optimizer.param_groups:
+                group["lr"] = rate
         batch = windows.sample(optimization.batch_size, draws)
         with torch.autocast(device.type, torch.bfloat16, enabled=optimization.precision == "bf16"):
             loss = method.loss(batch, draws)
         loss.backward()
-        optimizer.step()
-        optimizer.zero_grad()
+        for optimizer in updates:
+            optimizer.step()
+        method.zero_grad()
         decay = min(optimization.ema_decay, (1 + step) / (10 + step))
         torch._foreach_lerp_(averages, parameters, 1 - decay)
         loss_sum += loss.detach()
@@ -233,20 +146,26 @@ class _LoopState:
         self,
         method: torch.nn.Module,
         averaged: torch.nn.Module,
-        optimizer: torch.optim.Optimizer,
+        updates: list[torch.optim.Optimizer],
         draws: torch.Generator,
         loss_sum: Tensor,
     ) -> None:
-        self.optimizer, self.draws = optimizer, draws
-        self.parameters = dict(method.named_parameters())
+        self.draws = draws
+        names = {id(parameter): name for name, parameter in method.named_parameters()}
+        self.parameters = {  # by name: the parameter, and the state of the optimizer that updates it
+            names[id(parameter)]: (parameter, optimizer.state)
+            for optimizer in updates
+            for group in optimizer.param_groups
+            for parameter in group["params"]
+        }
         self.tensors = {f"method.{k}": v for k, v in method.state_dict().items()}
         self.tensors |= {f"averaged.{k}": v for k, v in averaged.state_dict().items()}
         self.tensors["loss_sum"] = loss_sum
 
     def save(self, path: Path, step: int, curve: list[dict[str, float]]) -> None:
         tensors = {key: value.contiguous() for key, value in self.tensors.items()}
-        for name, parameter in self.parameters.items():
-            for key, value in self.optimizer.state[parameter].items():
+        for name, (parameter, state) in self.parameters.items():
+            for key, value in state[parameter].items():
                 tensors[f"optimizer.{name}.{key}"] = value
         tensors["draws"] = self.draws.get_state()
         with replacing(path) as temporary:
@@ -259,12 +178,11 @@ class _LoopState:
         with safe_open(path, "pt") as file, torch.no_grad():
             for key, value in self.tensors.items():
                 value.copy_(file.get_tensor(key))
-            for name, parameter in self.parameters.items():
+            for name, (parameter, state) in self.parameters.items():
                 prefix = f"optimizer.{name}."
                 keys = [key for key in file.keys() if key.startswith(prefix)]  # noqa: SIM118 (not a dictionary)
                 # The fused optimizers keep their step count on the parameter's device too.
-                state = {k.removeprefix(prefix): file.get_tensor(k).to(parameter.device) for k in keys}
-                self.optimizer.state[parameter] = state
+                state[parameter] = {k.removeprefix(prefix): file.get_tensor(k).to(parameter.device) for k in keys}
             self.draws.set_state(file.get_tensor("draws"))
             metadata = file.metadata()
         return int(metadata["step"]), json.loads(metadata["curve"])

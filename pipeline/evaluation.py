@@ -9,7 +9,7 @@ import pandas as pd
 from beso.evaluation import Chunk, EvaluationConfig, chunks
 from beso.files import replacing, write_json, write_text
 from beso.rollout import evaluate_chunk
-from beso.training import TrainingJob
+from beso.training_config import TrainingJob
 from pipeline import paths
 from pipeline.params import Params
 from pipeline.pool import map_jobs

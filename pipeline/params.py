@@ -16,7 +16,7 @@ from beso.config import build, require
 from beso.data.spec import spec
 from beso.errors import UserError
 from beso.evaluation import EvaluationConfig
-from beso.training import TrainingConfig, TrainingJob, ValidationConfig
+from beso.training_config import TrainingConfig, TrainingJob, ValidationConfig
 
 PATH = Path("params.yaml")
 

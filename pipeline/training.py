@@ -10,7 +10,8 @@ from beso import checkpoint
 from beso.data import play
 from beso.data.spec import spec
 from beso.files import replacing, write_text
-from beso.training import TrainingJob, pick_device, train
+from beso.training import pick_device, train
+from beso.training_config import TrainingJob
 from pipeline import paths, scratch
 from pipeline.params import Params
 from pipeline.pool import map_jobs

@@ -13,6 +13,7 @@ Observation, 16 numbers (metres, radians):
 Action, 2 numbers: displacement of the effector's target in the plane, metres per step (0.1 s).
 """
 
+import functools
 import math
 import tempfile
 from pathlib import Path
@@ -22,7 +23,6 @@ import gymnasium
 import numpy as np
 import pybullet
 import pybullet_data
-from pybullet_utils.bullet_client import BulletClient
 
 from beso.envs.block_push_assets import write_assets
 
@@ -60,6 +60,18 @@ ENTRY_REWARD, SUCCESS_REWARD = 0.49, 0.51
 PAIRS = 4  # pair index = 2 * block + target
 
 
+class _Client:
+    """PyBullet's functions bound to a physics server of their own in this process."""
+
+    def __init__(self) -> None:
+        self.identifier = pybullet.connect(pybullet.DIRECT)
+
+    def __getattr__(self, name: str) -> Any:
+        function = functools.partial(getattr(pybullet, name), physicsClientId=self.identifier)
+        setattr(self, name, function)
+        return function
+
+
 class BlockPushEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """Gymnasium environment `beso/BlockPush-v0`.
 
@@ -87,7 +99,7 @@ class BlockPushEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._pairs: list[int] = []
 
     def _load_scene(self) -> None:
-        self._client = client = BulletClient(pybullet.DIRECT)
+        self._client = client = _Client()
         client.setPhysicsEngineParameter(enableFileCaching=0)
         client.setGravity(0, 0, -9.8)
         # Shapes that nobody looks at are not loaded; the physics is the same.

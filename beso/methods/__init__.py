@@ -9,17 +9,21 @@ A module defines
 Modules are imported by name, so that a pipeline cell depends on its own method's file and on no other's.
 """
 
+from __future__ import annotations
+
 import importlib
 import pkgutil
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-import torch
-from torch import Tensor
-
-from beso.data.spec import Sizes
-from beso.data.windows import Batch
 from beso.errors import UserError
-from beso.noise import Noise
+
+if TYPE_CHECKING:  # a cell that only checks parameters does not depend on these
+    import torch
+    from torch import Tensor
+
+    from beso.data.spec import Sizes
+    from beso.data.windows import Batch
+    from beso.noise import Noise
 
 
 class Method(Protocol):

@@ -1,0 +1,93 @@
+"""What shapes a training run: optimisation, held-out measurements, and the run as a whole."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from beso.config import require
+
+STEP_DECAY_EVERY, STEP_DECAY = 100, 0.99  # the published code's StepLR
+
+
+@dataclass(frozen=True)
+class OptimizationConfig:
+    """How a method is optimised.
+
+    Attributes:
+        steps, batch_size: number of updates and samples an update.
+        optimizer: "adam", "adamw" or "muon" (see beso.optimizers).
+        learning_rate, weight_decay: for all parameters.
+        schedule: "constant", "cosine" (to 0 at the last step) or "step" (times 0.99 every 100 steps).
+        ema_decay: of the averaged weights, which are the ones saved; 0 saves the last weights. At step n the decay is
+            min(ema_decay, (1 + n) / (10 + n)).
+        precision: "fp32", or "bf16" for autocast.
+    """
+
+    steps: int
+    batch_size: int
+    optimizer: Literal["adam", "adamw", "muon"]
+    learning_rate: float
+    weight_decay: float
+    schedule: Literal["constant", "cosine", "step"]
+    ema_decay: float
+    precision: Literal["fp32", "bf16"]
+
+    def __post_init__(self) -> None:
+        require(self.steps >= 1, f"steps = {self.steps}: must be at least 1")
+        require(self.batch_size >= 1, f"batch_size = {self.batch_size}: must be at least 1")
+        require(self.learning_rate > 0, f"learning_rate = {self.learning_rate}: must be above 0")
+        require(self.weight_decay >= 0, f"weight_decay = {self.weight_decay}: must not be negative")
+        require(0 <= self.ema_decay < 1, f"ema_decay = {self.ema_decay}: must be in [0, 1)")
+
+    def learning_rate_at(self, step: int) -> float:
+        """The learning rate of update `step`, counted from 0."""
+        if self.schedule == "cosine":
+            return self.learning_rate * (1 + math.cos(math.pi * step / self.steps)) / 2
+        if self.schedule == "step":
+            return self.learning_rate * STEP_DECAY ** (step // STEP_DECAY_EVERY)
+        return self.learning_rate
+
+
+@dataclass(frozen=True)
+class ValidationConfig:
+    """Held-out measurements during training.
+
+    Attributes:
+        every: steps between two measurements; there is always one after the last step.
+        windows: number of held-out windows measured, the same ones every time.
+    """
+
+    every: int
+    windows: int
+
+    def __post_init__(self) -> None:
+        require(self.every >= 1, f"every = {self.every}: must be at least 1")
+        require(self.windows >= 1, f"windows = {self.windows}: must be at least 1")
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Everything that shapes one method's trained weights on one environment, besides data and seed."""
+
+    model: Any
+    optimization: OptimizationConfig
+
+
+@dataclass(frozen=True)
+class TrainingJob:
+    """One training run.
+
+    Attributes:
+        method: name of the method's module.
+        config: its configuration.
+        validation: held-out measurements.
+        train_fraction: share of the episodes used for training.
+        root_seed, seed: the project's seed and this model's number.
+    """
+
+    method: str
+    config: TrainingConfig
+    validation: ValidationConfig
+    train_fraction: float
+    root_seed: int
+    seed: int

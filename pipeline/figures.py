@@ -1,0 +1,69 @@
+"""Figures of the report, as PDF and PNG with reproducible bytes."""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from beso.files import replacing
+from pipeline import names, paths
+from pipeline.params import Params
+
+# Wong's colours, told apart with any colour vision.
+COLOURS = {"ours": "#0072B2", "held_out": "#56B4E9", "paper": "#E69F00"}
+METHOD_COLOURS = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#F0E442", "#000000"]
+STYLE = {"font.size": 8, "axes.spines.top": False, "axes.spines.right": False, "pdf.fonttype": 42, "savefig.dpi": 200}
+
+
+def save(figure: Figure, folder: Path, name: str) -> None:
+    """Write one figure as PDF and PNG without dates or version strings."""
+    figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None, "Producer": None, "Creator": None})
+    figure.savefig(folder / f"{name}.png", metadata={"Software": None})
+
+
+def draw_all(params: Params, comparison: pd.DataFrame, folder: Path) -> None:
+    """Draw every figure into `folder`, replacing it whole."""
+    with replacing(folder) as temporary, matplotlib.rc_context(STYLE):
+        temporary.mkdir()
+        for environment in params.grid.envs:
+            part = comparison[comparison["environment"] == environment]
+            save(scores(params, part), temporary, f"scores_{environment}")
+            save(training_curves(params, environment), temporary, f"training_{environment}")
+
+
+def scores(params: Params, comparison: pd.DataFrame) -> Figure:
+    """Bars of reward and result by method, ours beside the paper's; lines are standard deviations over seeds."""
+    figure = Figure(figsize=(7, 2.4), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    bars = [("training", "ours", "ours_std", "ours, training goals", COLOURS["ours"])]
+    if "held_out" in params.evaluation.goals:
+        bars.append(("held_out", "ours", "ours_std", "ours, held-out goals", COLOURS["held_out"]))
+    bars.append(("training", "paper", "paper_std", "paper", COLOURS["paper"]))
+    places, width = np.arange(len(params.grid.methods)), 0.8 / len(bars)
+    for axis, metric in zip(axes, ("reward", "result"), strict=True):
+        for i, (goals, value, std, label, colour) in enumerate(bars):
+            part = comparison[(comparison["metric"] == metric) & (comparison["goals"] == goals)].set_index("method")
+            part = part.reindex(params.grid.methods)
+            offset = (i - (len(bars) - 1) / 2) * width
+            axis.bar(places + offset, part[value], width, yerr=part[std], label=label, color=colour, capsize=2)
+        axis.set_xticks(places, [names.METHODS[m] for m in params.grid.methods])
+        axis.set_title(names.METRICS[metric])
+    axes[0].set_ylabel(names.ENVIRONMENTS[comparison["environment"].iloc[0]])
+    axes[1].legend(frameon=False)
+    return figure
+
+
+def training_curves(params: Params, environment: str) -> Figure:
+    """Held-out error of the last action against training steps, a line a seed."""
+    figure = Figure(figsize=(3.5, 2.4), layout="constrained")
+    axis = figure.subplots()
+    for method, colour in zip(params.grid.methods, METHOD_COLOURS, strict=False):
+        curves = pd.read_csv(paths.curve(environment, method))
+        for i, (_, curve) in enumerate(curves.groupby("seed")):
+            label = names.METHODS[method] if i == 0 else None
+            axis.plot(curve["step"], curve["validation_error"], color=colour, linewidth=1, label=label)
+    axis.set(xlabel="training step", ylabel="held-out action error\n(squared, scaled units)", yscale="log")
+    axis.legend(frameon=False)
+    return figure

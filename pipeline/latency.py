@@ -1,0 +1,65 @@
+"""How long a policy takes to choose an action, at this profile's size and at the paper's.
+
+Timings differ from run to run; they stay out of everything that is meant to be reproduced byte for byte.
+"""
+
+import time
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+
+from beso import methods
+from beso.data.spec import Sizes, spec
+from beso.noise import BatchNoise
+from pipeline import params as parameters
+from pipeline.params import Params
+from pipeline.profile import COMPLETE, FOLDER
+
+WARM_UP = 3
+
+
+def measure(params: Params) -> pd.DataFrame:
+    """One row for each environment, method, size and batch.
+
+    Columns: environment, method, size ("profile" or "paper"), parameters, batch, and median and quartiles of the
+    milliseconds of one call with a full context. Weights are random: time does not depend on them.
+    """
+    paper = parameters.load(FOLDER / f"{COMPLETE}.yaml")
+    rows = []
+    for environment in params.grid.envs:
+        for method in params.grid.methods:
+            for size, source in (("profile", params), ("paper", paper)):
+                config = source.methods[method].train[environment].model
+                policy = build(method, config, source.sampling(environment, method), spec(environment).sizes)
+                count = sum(p.numel() for p in policy.parameters())
+                for batch in params.latency.batches:
+                    times = time_calls(policy, config.window, spec(environment).sizes, batch, params.latency.repeats)
+                    q1, median, q3 = np.percentile(times, [25, 50, 75]).round(3)
+                    row = {"environment": environment, "method": method, "size": size, "parameters": count}
+                    rows.append({**row, "batch": batch, "median_ms": median, "q1_ms": q1, "q3_ms": q3})
+    return pd.DataFrame(rows)
+
+
+def build(method: str, config: Any, sampling: Any, sizes: Sizes) -> Any:
+    """A policy with random weights, in evaluation mode."""
+    draws = torch.Generator().manual_seed(0)
+    return methods.load(method).Method(config, sampling, sizes, draws).eval()
+
+
+def time_calls(policy: Any, window: int, sizes: Sizes, batch: int, repeats: int) -> list[float]:
+    """Milliseconds of `repeats` calls of `act`, after a few that do not count."""
+    draws = torch.Generator().manual_seed(0)
+    observations = torch.randn(batch, window, sizes.observation, generator=draws)
+    actions = torch.randn(batch, window - 1, sizes.action, generator=draws)
+    goal = torch.randn(batch, sizes.goal_window, sizes.observation, generator=draws)
+    noise = BatchNoise(batch, draws)
+    times = []
+    with torch.inference_mode():
+        for i in range(WARM_UP + repeats):
+            start = time.perf_counter()
+            policy.act(observations, actions, goal, noise)
+            if i >= WARM_UP:
+                times.append(1000 * (time.perf_counter() - start))
+    return times
