@@ -31,8 +31,6 @@ from beso.training_config import TrainingJob
 
 log = logging.getLogger(__name__)
 
-SAVE_SECONDS = 60.0
-
 
 @dataclass(frozen=True)
 class Trained:
@@ -55,10 +53,17 @@ def split(job: TrainingJob, episodes: int) -> tuple[np.ndarray, np.ndarray]:
     return split_episodes(episodes, job.train_fraction, generator(job.root_seed, "split", job.seed))
 
 
-def train(job: TrainingJob, dataset: PlayDataset, spec: PlaySpec, device: torch.device, state_path: Path) -> Trained:
+def train(
+    job: TrainingJob,
+    dataset: PlayDataset,
+    spec: PlaySpec,
+    device: torch.device,
+    state_path: Path,
+    save_seconds: float = 60.0,
+) -> Trained:
     """Train one model, continuing from `state_path` where that file exists.
 
-    The file is rewritten about once a minute and is the caller's to delete.
+    The file is rewritten every `save_seconds` and is the caller's to delete.
     """
     # Data
     optimization, model = job.config.optimization, job.config.model
@@ -121,7 +126,7 @@ def train(job: TrainingJob, dataset: PlayDataset, spec: PlaySpec, device: torch.
                 *(name, done, optimization.steps, curve[-1]["training_loss"]),
                 *(measured["validation_loss"], measured["validation_error"], speed),
             )
-        if time.monotonic() - saved_at > SAVE_SECONDS:
+        if time.monotonic() - saved_at >= save_seconds:
             loop.save(state_path, done, curve)
             saved_at = time.monotonic()
 

@@ -27,9 +27,11 @@ class Machine:
 
     workers: int
     device: Literal["auto", "cpu", "cuda"]
+    save_seconds: float
 
     def __post_init__(self) -> None:
         require(self.workers >= 0, f"workers = {self.workers}: must be 0 (one a processor) or more")
+        require(self.save_seconds >= 0, f"save_seconds = {self.save_seconds}: must not be negative")
 
 
 @dataclass(frozen=True)

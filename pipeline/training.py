@@ -13,7 +13,7 @@ from beso.files import replacing, write_text
 from beso.training import pick_device, train
 from beso.training_config import TrainingJob
 from pipeline import paths, scratch
-from pipeline.params import Params
+from pipeline.params import Machine, Params
 from pipeline.pool import map_jobs
 
 
@@ -26,7 +26,7 @@ def train_cell(params: Params, environment: str, method: str) -> None:
     digest = play.data_digest(play.load(data, spec(environment)))
     jobs = [params.job(environment, method, seed) for seed in params.seeds]
     folders = [scratch.folder("train", environment, dataclasses.asdict(job), digest) for job in jobs]
-    arguments = [(job, environment, data, params.machine.device, f) for job, f in zip(jobs, folders, strict=True)]
+    arguments = [(job, environment, data, params.machine, f) for job, f in zip(jobs, folders, strict=True)]
     for _ in map_jobs(train_seed, arguments, params.machine.workers, f"train {environment} {method}"):
         pass
 
@@ -44,13 +44,13 @@ def train_cell(params: Params, environment: str, method: str) -> None:
         shutil.rmtree(finished)
 
 
-def train_seed(job: TrainingJob, environment: str, data: Path, device: str, folder: Path) -> None:
+def train_seed(job: TrainingJob, environment: str, data: Path, machine: Machine, folder: Path) -> None:
     """Train one model into `folder`, unless it is there already."""
     if checkpoint.paths(folder, job.seed)[1].exists():
         return
     environment_spec = spec(environment)
     dataset = play.load(data, environment_spec)
     state = folder / "state.safetensors"
-    trained = train(job, dataset, environment_spec, pick_device(device), state)
+    trained = train(job, dataset, environment_spec, pick_device(machine.device), state, machine.save_seconds)
     checkpoint.save(folder, job, trained, play.data_digest(dataset))
     state.unlink(missing_ok=True)

@@ -22,3 +22,5 @@ def write_video(path: Path, frames: Sequence[np.ndarray], frames_per_second: flo
     for frame in frames:
         writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
     writer.release()
+    if not path.stat().st_size:
+        raise OSError(f"OpenCV wrote nothing to {path.name}")

@@ -106,7 +106,7 @@ def save(dataset: PlayDataset, folder: Path) -> None:
     with replacing(folder) as temporary:
         temporary.mkdir()
         for name in ARRAYS:
-            np.save(temporary / f"{name}.npy", getattr(dataset, name), allow_pickle=False)
+            write_npy(temporary / f"{name}.npy", getattr(dataset, name))
         counts = {"episodes": len(dataset), "steps": len(dataset.observations)}
         digests = {name: sha256(temporary / f"{name}.npy") for name in ARRAYS}
         write_json(temporary / "meta.json", {**dataset.meta, "counts": counts, "sha256": digests})
@@ -129,6 +129,14 @@ def load(folder: Path, spec: PlaySpec) -> PlayDataset:
     dataset = PlayDataset(**arrays, meta=meta)
     check(dataset, spec, str(folder))
     return dataset
+
+
+def write_npy(path: Path, array: np.ndarray) -> None:
+    """Write one .npy file; unlike numpy.save, a full disk is reported as such."""
+    array = np.ascontiguousarray(array)
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(array))
+        file.write(array.data)
 
 
 def read_npy(path: Path) -> np.ndarray:

@@ -1,0 +1,208 @@
+"""`python -m pipeline.bench` measures speed and memory at the paper's sizes, beside what the machine can do.
+
+It takes about three minutes; close other programs first. Times are medians with quartiles in brackets.
+"""
+
+import multiprocessing
+import platform
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from beso import envs, optimizers
+from beso.data import play
+from beso.data.scaling import Scaling
+from beso.data.spec import Sizes, spec
+from beso.data.windows import Batch, Windows
+from beso.methods import c_beso
+from beso.networks.transformer import TransformerConfig
+from beso.noise import BatchNoise
+from beso.rollout import Agent
+from beso.training_config import TrainingConfig
+from pipeline import params as parameters
+from pipeline import paths
+from pipeline.latency import build, time_calls
+from pipeline.pool import available_workers, map_jobs
+from pipeline.profile import COMPLETE, FOLDER
+from pipeline.stage import run
+
+ENVIRONMENT = "block_push"
+KITCHEN = TransformerConfig(360, 6, 6, 5, 0.3, 0.0, "sequential")  # the paper's hyper-parameter table
+KITCHEN_SIZES = Sizes(observation=30, action=9, goal_window=2)
+TRAINING_BATCH = 256
+ROLLOUTS = 100
+ROLLOUT_STEPS = 20
+
+
+def main() -> None:
+    paper = parameters.load(FOLDER / f"{COMPLETE}.yaml")
+    training = paper.methods["c_beso"].train[ENVIRONMENT]
+    sampling = paper.sampling(ENVIRONMENT, "c_beso")
+    cores = available_workers()
+    print(f"{platform.machine()}, {cores} cores, torch {torch.__version__}, {torch.get_num_threads()} threads")
+    peak = _machine(cores)
+    sizes = {
+        "block push": (training.model, spec(ENVIRONMENT).sizes),
+        "kitchen": (replace(training.model, transformer=KITCHEN), KITCHEN_SIZES),
+    }
+    for name, (model, size) in sizes.items():
+        _policy(name, model, size, sampling)
+    for name, (model, size) in sizes.items():
+        _training(name, model, size, training, peak)
+    _rollouts(training.model, sampling, paper.evaluation.chunk, cores)
+    _memory(training, sampling, paper.evaluation.chunk)
+
+
+def _quartiles(values: list[float], unit: str) -> str:
+    q1, median, q3 = np.percentile(values, [25, 50, 75])
+    return f"{median:.4g} {unit} [{q1:.4g}, {q3:.4g}]"
+
+
+def _times(function: Callable[[], object], repeats: int) -> list[float]:
+    function()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return times
+
+
+def _machine(cores: int) -> float:
+    """Print matrix-product rates and memory bandwidth; return the fp32 rate with all threads, in FLOP/s."""
+    n, rate = 2048, 0.0
+    for dtype, name in ((torch.float32, "fp32"), (torch.bfloat16, "bf16")):
+        for threads in sorted({1, cores}):
+            torch.set_num_threads(threads)
+            a = torch.randn(n, n).to(dtype)
+            rates = [2 * n**3 / t for t in _times(lambda a=a: a @ a, 5)]  # type: ignore[misc]
+            print(f"matrix product {name}, {threads} threads: {_quartiles([r / 1e9 for r in rates], 'GFLOP/s')}")
+            if dtype == torch.float32:
+                rate = float(np.median(rates))
+    block = torch.empty(1 << 26)
+    bandwidth = [2 * block.nbytes / t / 1e9 for t in _times(block.clone, 5)]
+    print(f"memory, copy with {cores} threads: {_quartiles(bandwidth, 'GB/s')}")
+    return rate
+
+
+def _policy(name: str, model: c_beso.Config, sizes: Sizes, sampling: Any) -> None:
+    policy = build("c_beso", model, sampling, sizes)
+    count = sum(p.numel() for p in policy.parameters())
+    print(f"{name}, {count:,} parameters:")
+    call = time_calls(policy, model.window, sizes, 1, 100)
+    print(f"  policy call, batch 1, {sampling.steps} network calls: {_quartiles(call, 'ms')}")
+    draws = torch.Generator().manual_seed(0)
+    window, batch = model.window, 100
+    actions = torch.randn(batch, window, sizes.action, generator=draws)
+    states = torch.randn(batch, window, sizes.observation, generator=draws)
+    goal = torch.randn(batch, sizes.goal_window, sizes.observation, generator=draws)
+    level = torch.randn(batch, generator=draws)
+    with torch.inference_mode():
+        for last_only, what in ((True, "last action"), (False, "all actions")):
+            times = _times(lambda o=last_only: policy.network(actions, level, states, goal, last_only=o), 20)  # type: ignore[misc]
+            print(f"  network, batch 100, {what}: {_quartiles([1000 * t for t in times], 'ms')}")
+
+
+def _training(name: str, model: c_beso.Config, sizes: Sizes, training: TrainingConfig, peak: float) -> None:
+    draws = torch.Generator().manual_seed(0)
+    method = build("c_beso", model, None, sizes).train()
+    optimizer = optimizers.make("adam", method.parameters(), 1e-4, 0.0)[0]
+    batch = Batch(
+        torch.randn(TRAINING_BATCH, model.window, sizes.observation, generator=draws),
+        torch.randn(TRAINING_BATCH, model.window, sizes.action, generator=draws),
+        torch.randn(TRAINING_BATCH, sizes.goal_window, sizes.observation, generator=draws),
+    )
+    tokens = 1 + sizes.goal_window + 2 * model.window
+    flop = 6 * sum(p.numel() for p in method.network.blocks.parameters()) * tokens * TRAINING_BATCH
+    for precision in ("fp32", "bf16"):
+
+        def step(precision: str = precision) -> None:
+            with torch.autocast("cpu", torch.bfloat16, enabled=precision == "bf16"):
+                loss = method.loss(batch, draws)
+            loss.backward()
+            optimizer.step()
+            optimizer.zero_grad()
+
+        times = _times(step, 6)
+        share = flop / float(np.median(times)) / peak
+        rates = [1 / t for t in times]
+        print(
+            f"{name}, training step of {TRAINING_BATCH}, {precision}: {_quartiles(rates, 'steps/s')},"
+            f" {share:.0%} of the fp32 matrix peak"
+        )
+
+
+def _rollouts(model: c_beso.Config, sampling: Any, chunk: int, cores: int) -> None:
+    """Steps a second of one environment with one call a step, and of chunks over all workers, with random weights."""
+    single = _play(model, sampling, 1, 5 * ROLLOUT_STEPS, torch.get_num_threads())
+    print(f"rollouts, one environment, one call a step: {5 * ROLLOUT_STEPS / single:.1f} steps/s")
+    jobs = [(model, sampling, min(chunk, ROLLOUTS - i), ROLLOUT_STEPS, 1) for i in range(0, ROLLOUTS, chunk)]
+    seconds = list(map_jobs(_play, jobs, cores))
+    wall = sum(seconds) / min(cores, len(jobs))
+    rate = ROLLOUTS * ROLLOUT_STEPS / wall
+    ratio = rate * single / (5 * ROLLOUT_STEPS)
+    print(f"rollouts, {ROLLOUTS} in chunks of {chunk} over {cores} workers: {rate:.1f} steps/s, {ratio:.1f} times")
+
+
+def _play(model: c_beso.Config, sampling: Any, count: int, steps: int, threads: int) -> float:
+    """Seconds for `steps` steps of `count` environments under a policy with random weights."""
+    torch.set_num_threads(threads)
+    environment_spec, module = spec(ENVIRONMENT), envs.load(ENVIRONMENT)
+    policy = build("c_beso", model, sampling, environment_spec.sizes)
+    environments = [module.make() for _ in range(count)]
+    observations = np.stack([env.reset(seed=i)[0] for i, env in enumerate(environments)])
+    size = len(environment_spec.visible)
+    scaling = Scaling(
+        environment_spec.visible, environment_spec.goal_masked, (0.0,) * size, (1.0,) * size, (-0.03,) * 2, (0.03,) * 2
+    )
+    agent = Agent(policy, model.window, scaling, observations[:, None], torch.device("cpu"))
+    noise = BatchNoise(count, torch.Generator().manual_seed(0))
+    start = time.perf_counter()
+    for _ in range(steps):
+        actions = agent.act(observations, noise)
+        observations = np.stack([env.step(a)[0] for env, a in zip(environments, actions, strict=True)])
+    seconds = time.perf_counter() - start
+    for env in environments:
+        env.close()
+    return seconds
+
+
+def _memory(training: TrainingConfig, sampling: Any, chunk: int) -> None:
+    """Peak resident size of a training worker at the paper's size and batch, and of an evaluation worker."""
+    context = multiprocessing.get_context("spawn")
+    for name, function, arguments in (
+        ("training worker", _train_briefly, (training,)),
+        (f"evaluation worker, {chunk} environments", _play_briefly, (training.model, sampling, chunk)),
+    ):
+        with context.Pool(1) as pool:
+            print(f"peak memory, {name}: {pool.apply(function, arguments) / 2**20:.2f} GiB")
+
+
+def _train_briefly(training: TrainingConfig) -> int:
+    torch.set_num_threads(1)
+    method = build("c_beso", training.model, None, spec(ENVIRONMENT).sizes).train()
+    draws = torch.Generator().manual_seed(0)
+    dataset = play.load(paths.play(ENVIRONMENT), spec(ENVIRONMENT))
+    episodes = np.arange(len(dataset))
+    scaling = Scaling.fit(dataset, episodes, spec(ENVIRONMENT))
+    windows = Windows(dataset, episodes, scaling, training.model.window, spec(ENVIRONMENT).goal_window)
+    optimizer = optimizers.make("adam", method.parameters(), 1e-4, 0.0)[0]
+    for _ in range(2):
+        method.loss(windows.sample(training.optimization.batch_size, draws), draws).backward()
+        optimizer.step()
+        optimizer.zero_grad()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def _play_briefly(model: c_beso.Config, sampling: Any, chunk: int) -> int:
+    _play(model, sampling, chunk, 3, 1)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+if __name__ == "__main__":
+    run(main)
