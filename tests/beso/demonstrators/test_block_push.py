@@ -39,9 +39,11 @@ def test_last_row_is_the_final_state_with_the_action_not_taken(demonstrations):
     assert demonstrations.tasks[end - 1].sum() == 1  # the second block arrived
 
 
-def test_a_demonstration_depends_on_its_number_alone(demonstrations):
-    again = record(0, 7)
-    start, end = demonstrations.episode_starts[7], demonstrations.episode_ends[7]
+@pytest.mark.parametrize("number", [78, 97, 128, 154])
+def test_a_demonstration_depends_on_its_number_alone(demonstrations, number):
+    """These four came out differently after other episodes when resets restored a saved physics state."""
+    again = record(0, number)
+    start, end = demonstrations.episode_starts[number], demonstrations.episode_ends[number]
     assert again.observations.tobytes() == demonstrations.observations[start:end].tobytes()
     assert again.actions.tobytes() == demonstrations.actions[start:end].tobytes()
 

@@ -1,0 +1,118 @@
+import copy
+import dataclasses
+
+import pytest
+from ruamel.yaml import YAML
+
+from beso.errors import UserError
+from pipeline import params, profile
+
+PROFILES = sorted(path.stem for path in profile.FOLDER.glob("*.yaml"))
+
+
+@pytest.fixture
+def values():
+    return YAML(typ="safe").load(profile.render("smoke"))
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_every_profile_is_valid_and_says_its_name(name):
+    assert params.parse(YAML(typ="safe").load(profile.render(name)), name).profile == name
+
+
+def test_committed_params_are_the_quick_profile():
+    assert params.PATH.read_text() == profile.render("quick")
+
+
+def test_profiles_keep_the_comments():
+    assert "# [T] hidden dimension" in profile.render("cpu")
+
+
+def test_paper_profile_has_the_papers_numbers():
+    paper = params.load(profile.FOLDER / "paper.yaml")
+    assert len(paper.seeds) == 10
+    assert paper.evaluation.rollouts == 100
+    train = paper.methods["c_beso"].train["block_push"]
+    assert dataclasses.astuple(train.model.transformer) == (240, 4, 12, 5, 0.05, 0.05, "sequential")
+    assert (train.model.diffusion.sigma_min, train.model.diffusion.sigma_max, train.model.diffusion.sigma_data) == (
+        0.05,
+        1,
+        0.5,
+    )
+    assert (train.optimization.steps, train.optimization.batch_size) == (60_000, 1024)
+    assert (train.optimization.optimizer, train.optimization.learning_rate) == ("adam", 1e-4)
+    assert paper.sampling("block_push", "c_beso").steps == 3
+    assert paper.sampling("block_push", "cfg_beso").guidance_scale == 2
+    assert paper.methods["cfg_beso"].train["block_push"].model.goal_dropout == 0.1
+
+
+MODEL = ("methods", "c_beso", "train", "block_push", "model", "transformer")
+OPTIMIZATION = ("methods", "gcbc", "train", "block_push", "optimization")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ((*MODEL, "depth"), 3, r"methods\.c_beso\..*\.transformer\.depth = 3: unknown key; allowed are width, layers"),
+        ((*MODEL, "heads"), 5, r"transformer: heads = 5: must divide width = 16"),
+        ((*MODEL, "width"), "wide", r"transformer\.width = 'wide': expected an integer"),
+        ((*MODEL, "width"), 16.0, r"transformer\.width = 16\.0: expected an integer"),
+        ((*OPTIMIZATION, "learning_rate"), "1e-3", r"learning_rate = '1e-3': expected a number"),
+        ((*OPTIMIZATION, "optimizer"), "sgd", r"optimizer = 'sgd': expected one of adam, adamw, muon"),
+        ((*OPTIMIZATION, "steps"), True, r"steps = True: expected an integer"),
+        (("evaluation", "rollouts"), 0, r"evaluation: rollouts = 0: must be at least 1"),
+        (("seeds",), [1, 1], r"seeds = \[1, 1\]: must be different"),
+        (("grid", "methods"), ["gcbc", "sac"], r"methods\.sac\.train\.block_push is missing"),
+        (("grid", "envs"), ["moon"], r"environment 'moon' is not one of block_push"),
+        (("collect", "block_push", "source"), "published", r"folder = null: source published needs a folder"),
+        (("colour",), "red", r"colour = 'red': unknown key"),
+    ],
+)
+def test_a_mistake_is_one_line_with_key_value_and_what_is_allowed(values, path, value, message):
+    inner = values
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    with pytest.raises(UserError, match=message) as error:
+        params.parse(values, "params.yaml")
+    assert "\n" not in str(error.value)
+
+
+def test_every_key_is_needed(values):
+    """Every mapping of the smoke profile is refused when one of its keys is gone."""
+
+    def paths(inner, path=()):
+        for key, value in inner.items():
+            yield (*path, key)
+            if isinstance(value, dict):
+                yield from paths(value, (*path, key))
+
+    for path in paths(values):
+        broken = copy.deepcopy(values)
+        inner = broken
+        for key in path[:-1]:
+            inner = inner[key]
+        del inner[path[-1]]
+        with pytest.raises(UserError, match="is missing"):
+            params.parse(broken, "params.yaml")
+
+
+def test_numbers_are_read_as_dvc_reads_them(tmp_path):
+    file = tmp_path / "params.yaml"
+    file.write_text("rate: 1e-4\nswitch: on\n")
+    assert params.read_yaml(file) == {"rate": 1e-4, "switch": "on"}
+
+
+def test_unreadable_files_are_one_line(tmp_path):
+    file = tmp_path / "params.yaml"
+    with pytest.raises(UserError, match="is missing"):
+        params.read_yaml(file)
+    file.write_text("a: [1,\nb: 2")
+    with pytest.raises(UserError, match="is not valid YAML") as error:
+        params.read_yaml(file)
+    assert "\n" not in str(error.value)
+
+
+def test_unknown_profile_is_refused():
+    with pytest.raises(UserError, match="profile 'tiny' is not one of cpu, paper, quick, smoke"):
+        profile.render("tiny")
