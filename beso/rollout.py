@@ -126,7 +126,7 @@ def evaluate_chunk(
             row = rows[index]
             row["reward"] += reward
             row["length"] += 1
-            row["info"] = info
+            row |= {"info": info, "observation": observation}
             if film and index == 0:
                 film(environments[0].render())
         running, observations = running[~ended], observations[~ended]
@@ -136,8 +136,9 @@ def evaluate_chunk(
         noise.keep(~ended)
 
     # Score
-    for row in rows:
+    for row, goal in zip(rows, goals, strict=True):
         info, goal_tasks = row.pop("info"), dataset.completed(row["goal_demonstration"])
+        row["goal_distance"] = round(module.goal_distance(row.pop("observation"), goal), 6)
         row["reward"] = round(row["reward"], 6)
         row["tasks"] = " ".join(map(str, info["tasks"]))
         row["goal_tasks"] = " ".join(map(str, goal_tasks))

@@ -17,7 +17,18 @@ from pipeline.statistics import over_seeds
 from pipeline.video import FRAMES_PER_SECOND, write_video
 
 COLUMNS = [
-    *("seed", "goals", "episode", "goal_demonstration", "goal_tasks", "tasks", "reward", "result", "length"),
+    *(
+        "seed",
+        "goals",
+        "episode",
+        "goal_demonstration",
+        "goal_tasks",
+        "tasks",
+        "reward",
+        "result",
+        "length",
+        "goal_distance",
+    ),
 ]
 
 
@@ -61,7 +72,7 @@ def _play(
 
 
 def _metrics(rows: pd.DataFrame) -> dict[str, dict[str, float]]:
-    """Mean and standard deviation over seeds of reward and result, by goal set."""
+    """Mean and standard deviation over seeds of reward and result, by goal set; mean length and distance."""
     metrics: dict[str, dict[str, float]] = {}
     for goals, part in rows.groupby("goals", sort=False):
         values = metrics.setdefault(f"{goals}_goals", {})
@@ -69,4 +80,5 @@ def _metrics(rows: pd.DataFrame) -> dict[str, dict[str, float]]:
             mean, std, _ = over_seeds(part, name)
             values |= {name: round(mean, 4), f"{name}_std": round(std, 4)}
         values["length"] = round(float(part["length"].mean()), 1)
+        values["goal_distance"] = round(float(part["goal_distance"].mean()), 4)
     return metrics

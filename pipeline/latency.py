@@ -1,4 +1,4 @@
-"""How long a policy takes to choose an action, at this profile's size and at the paper's.
+"""How long a policy takes to choose an action, at the paper's size.
 
 Timings differ from run to run; they stay out of everything that is meant to be reproduced byte for byte.
 """
@@ -21,24 +21,24 @@ WARM_UP = 3
 
 
 def measure(params: Params) -> pd.DataFrame:
-    """One row for each environment, method, size and batch.
+    """One row for each environment, method and batch size, with the paper's networks and samplers.
 
-    Columns: environment, method, size ("profile" or "paper"), parameters, batch, and median and quartiles of the
-    milliseconds of one call with a full context. Weights are random: time does not depend on them.
+    Columns: environment, method, parameters, batch, median and quartiles of the milliseconds of one call with a full
+    context. Weights are random: time does not depend on them.
     """
     paper = parameters.load(FOLDER / f"{COMPLETE}.yaml")
     rows = []
     for environment in params.grid.envs:
+        sizes = spec(environment).sizes
         for method in params.grid.methods:
-            for size, source in (("profile", params), ("paper", paper)):
-                config = source.methods[method].train[environment].model
-                policy = build(method, config, source.sampling(environment, method), spec(environment).sizes)
-                count = sum(p.numel() for p in policy.parameters())
-                for batch in params.latency.batches:
-                    times = time_calls(policy, config.window, spec(environment).sizes, batch, params.latency.repeats)
-                    q1, median, q3 = np.percentile(times, [25, 50, 75]).round(3)
-                    row = {"environment": environment, "method": method, "size": size, "parameters": count}
-                    rows.append({**row, "batch": batch, "median_ms": median, "q1_ms": q1, "q3_ms": q3})
+            model = paper.methods[method].train[environment].model
+            policy = build(method, model, paper.sampling(environment, method), sizes)
+            count = sum(p.numel() for p in policy.parameters())
+            for batch in params.latency.batches:
+                times = time_calls(policy, model.window, sizes, batch, params.latency.repeats)
+                q1, median, q3 = np.percentile(times, [25, 50, 75]).round(3)
+                row = {"environment": environment, "method": method, "parameters": count, "batch": batch}
+                rows.append({**row, "median_ms": median, "q1_ms": q1, "q3_ms": q3})
     return pd.DataFrame(rows)
 
 

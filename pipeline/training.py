@@ -9,6 +9,7 @@ import pandas as pd
 from beso import checkpoint
 from beso.data import play
 from beso.data.spec import spec
+from beso.errors import UserError
 from beso.files import replacing, write_text
 from beso.training import pick_device, train
 from beso.training_config import TrainingJob
@@ -22,6 +23,8 @@ def train_cell(params: Params, environment: str, method: str) -> None:
 
     Finished seeds and the state of unfinished ones wait in the scratch folder until all are done.
     """
+    if method not in params.methods:
+        raise UserError(f"method {method!r} is not in params.yaml: {', '.join(params.methods)} are")
     data = paths.play(environment)
     digest = play.data_digest(play.load(data, spec(environment)))
     jobs = [params.job(environment, method, seed) for seed in params.seeds]

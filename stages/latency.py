@@ -1,4 +1,4 @@
-"""Milliseconds a policy call of every method."""
+"""Milliseconds a policy call of every method at the paper's size."""
 
 from beso.files import write_text
 from pipeline import params, paths

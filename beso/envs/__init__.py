@@ -6,6 +6,7 @@ Beside its environment class, each module defines how policies are evaluated in 
     make(render_mode)                            an environment
     evaluation_goal(states, observation)         the goal for an episode that starts with `observation`
     result(info, goal_tasks)                     the share of the goal that was reached
+    goal_distance(observation, goal)             how far from the goal an episode ended
 """
 
 import importlib

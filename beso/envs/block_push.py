@@ -272,6 +272,16 @@ def evaluation_goal(states: np.ndarray, observation: np.ndarray) -> np.ndarray:
     return goal
 
 
+def goal_distance(observation: np.ndarray, goal: np.ndarray) -> float:
+    """Mean distance of the two blocks from their places in the goal, metres.
+
+    Args:
+        observation: (16,) observation.
+        goal: (G, 16) goal states; the last one counts.
+    """
+    return float(np.mean([np.linalg.norm(observation[i : i + 2] - goal[-1, i : i + 2]) for i in (0, 3)]))
+
+
 def result(info: dict[str, Any], goal_tasks: tuple[int, ...]) -> float:
     """The share of two goal pairs that were entered at any time, in any order (paper, "result")."""
     return len(set(info["tasks"]) & set(goal_tasks)) / 2

@@ -1,0 +1,134 @@
+"""Workspaces: copies of the repository in which the smoke profile runs for real."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+ROOT = Path(__file__).parents[2]
+GIT = ["git", "-c", "user.name=test", "-c", "user.email=test@example.org"]
+
+
+class Workspace:
+    """A copy of the repository's files in a git repository of its own."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    @classmethod
+    def fresh(cls, folder):
+        """What a stranger has after cloning, set to the smoke profile."""
+        listed = subprocess.run(
+            ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+            cwd=ROOT,
+            check=True,
+            capture_output=True,
+        ).stdout.decode()
+        for name in filter(None, listed.split("\0")):
+            if (ROOT / name).is_file():
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(ROOT / name, folder / name)
+        workspace = cls(folder)
+        (folder / "dvc.lock").unlink(missing_ok=True)
+        workspace.python("-m", "pipeline.profile", "smoke")
+        subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
+        workspace.commit()
+        return workspace
+
+    def copy(self, folder):
+        """The same workspace, with all results and DVC's cache, elsewhere."""
+        shutil.copytree(self.folder, folder, dirs_exist_ok=True, symlinks=True)
+        return Workspace(folder)
+
+    def commit(self):
+        subprocess.run([*GIT, "add", "-A"], cwd=self.folder, check=True)
+        subprocess.run([*GIT, "commit", "-q", "--allow-empty", "-m", "state"], cwd=self.folder, check=True)
+
+    @property
+    def environment(self):
+        # The commands must be this environment's, and the project this workspace's.
+        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+        return {**os.environ, "PATH": path, "PYTHONPATH": str(self.folder)}
+
+    def run(self, *command, check=True, **keywords):
+        done = subprocess.run(
+            command,
+            cwd=self.folder,
+            env=self.environment,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            **keywords,
+        )
+        if check:
+            assert done.returncode == 0, done.stdout
+        return done
+
+    def start(self, *command):
+        """A command in a process group of its own, as a terminal starts it."""
+        return subprocess.Popen(
+            command,
+            cwd=self.folder,
+            env=self.environment,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+
+    def python(self, *arguments, **keywords):
+        return self.run(sys.executable, *arguments, **keywords)
+
+    def dvc(self, *arguments, **keywords):
+        return self.run("dvc", *arguments, **keywords)
+
+    def repro(self, *arguments):
+        """Names of the stages that really ran."""
+        output = self.dvc("repro", *arguments).stdout
+        return [line.split("'")[1] for line in output.splitlines() if line.startswith("Running stage")]
+
+    def set(self, key, value):
+        """Change one parameter as an editor would."""
+        yaml = YAML()
+        path = self.folder / "params.yaml"
+        values = yaml.load(path.read_text())
+        inner = values
+        *parents, last = key.split(".")
+        for name in parents:
+            inner = inner[name]
+        inner[last] = value
+        with path.open("w") as file:
+            yaml.dump(values, file)
+
+    def lock(self):
+        """Hashes of all outputs by path, from dvc.lock."""
+        stages = YAML(typ="safe").load((self.folder / "dvc.lock").read_text())["stages"]
+        return {out["path"]: out["md5"] for stage in stages.values() for out in stage.get("outs", [])}
+
+    def files(self, *folders):
+        """Bytes of all files below some folders."""
+        return {
+            path.relative_to(self.folder): path.read_bytes()
+            for folder in folders
+            for path in (self.folder / folder).rglob("*")
+            if path.is_file()
+        }
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory):
+    """The smoke profile after one `dvc repro`. Tests that change something take a copy."""
+    workspace = Workspace.fresh(tmp_path_factory.mktemp("finished"))
+    workspace.dvc("repro")
+    workspace.commit()
+    return workspace
+
+
+@pytest.fixture
+def workspace(finished, tmp_path):
+    """A copy of the finished workspace to change."""
+    return finished.copy(tmp_path / "workspace")

@@ -1,0 +1,107 @@
+"""Mistakes a user can make: one clear line, exit code 1, no traceback, everything else as it was."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from beso.data import play
+from beso.data.spec import spec
+
+DATA = "data/play/block_push"
+
+
+def fails(workspace, *command):
+    """Run a command that must fail; its one line of error, after checking that results are as before."""
+    before = workspace.files("models", "results", "reports")
+    done = workspace.run(*command, check=False)
+    assert done.returncode == 1, done.stdout
+    assert "Traceback" not in done.stdout
+    assert workspace.files("models", "results", "reports") == before
+    lines = [line for line in done.stdout.splitlines() if line.startswith("error: ")]
+    assert len(lines) == 1, done.stdout
+    return lines[0]
+
+
+def stage(workspace, name, *arguments):
+    return fails(workspace, sys.executable, "-m", f"stages.{name}", *arguments)
+
+
+def test_unknown_parameter(workspace):
+    workspace.set("methods.gcbc.train.block_push.model.depth", 3)
+    line = stage(workspace, "train", "block_push", "gcbc")
+    assert "params.yaml.methods.gcbc.train.block_push.model.depth = 3: unknown key" in line
+    workspace.set("methods.gcbc.train.block_push.model", {"width": 32, "layers": 2, "dropout": 0.1})
+    workspace.python("-m", "pipeline.params")
+
+
+def test_wrong_type_through_dvc(workspace):
+    workspace.set("methods.gcbc.train.block_push.optimization.steps", "many")
+    before = workspace.files("data", "results", "reports")
+    done = workspace.dvc("repro", check=False)
+    assert done.returncode != 0
+    assert "optimization.steps = 'many': expected an integer" in done.stdout
+    assert "Traceback" not in done.stdout
+    assert workspace.files("data", "results", "reports") == before
+    workspace.set("methods.gcbc.train.block_push.optimization.steps", 30)
+    assert workspace.repro() == []  # what the failed stage's start removed comes back from DVC's cache
+
+
+def test_nan_in_a_dataset(workspace):
+    folder = workspace.folder / DATA
+    dataset = play.load(folder, spec("block_push"))
+    observations = np.array(dataset.observations)
+    observations[7, 3] = np.nan
+    broken = play.PlayDataset(
+        observations, np.array(dataset.actions), np.array(dataset.tasks), np.array(dataset.episode_ends), {}
+    )
+    play.save(broken, folder)
+    line = stage(workspace, "train", "block_push", "gcbc")
+    assert "observations has a value that is not finite (NaN or infinity), first at step 7" in line
+
+
+def test_truncated_array(workspace):
+    path = workspace.folder / DATA / "actions.npy"
+    path.write_bytes(path.read_bytes()[:-100])
+    assert "actions.npy is truncated" in stage(workspace, "train", "block_push", "gcbc")
+
+
+def test_missing_dataset(workspace):
+    (workspace.folder / DATA).rename(workspace.folder / "elsewhere")
+    assert "data/play/block_push is not a play dataset" in stage(workspace, "train", "block_push", "gcbc")
+
+
+def test_checkpoint_of_another_configuration(workspace):
+    workspace.set("methods.gcbc.train.block_push.model.width", 33)
+    line = stage(workspace, "evaluate", "block_push", "gcbc")
+    assert "checkpoint of another configuration: config.model.width is 32 there and 33 here" in line
+
+
+def test_damaged_checkpoint(workspace):
+    path = workspace.folder / "models/block_push/gcbc/seed1.safetensors"
+    path.write_bytes(path.read_bytes()[:100])
+    assert "seed1.safetensors is missing or damaged" in stage(workspace, "evaluate", "block_push", "gcbc")
+
+
+def test_published_folder_that_is_not_there(workspace):
+    workspace.set("collect.block_push.source", "published")
+    workspace.set("collect.block_push.folder", "nowhere")
+    assert "nowhere/multimodal_push_observations.npy is missing" in stage(workspace, "collect", "block_push")
+
+
+def test_missing_results(workspace):
+    (workspace.folder / "results/block_push/gcbc.csv").unlink()
+    line = stage(workspace, "tables")
+    assert line == ("error: results/block_push/gcbc.csv is missing: run `dvc repro evaluate@block_push-gcbc`")
+
+
+@pytest.mark.parametrize("arguments", [(), ("block_push",), ("block_push", "gcbc", "more")])
+def test_wrong_number_of_arguments(finished, arguments):
+    done = finished.run(sys.executable, "-m", "stages.train", *arguments, check=False)
+    assert done.returncode == 2
+    assert done.stdout.splitlines()[-1] == "usage: train.py ENVIRONMENT METHOD"
+
+
+def test_unknown_names(workspace):
+    assert "environment 'moon' is not one of block_push" in stage(workspace, "train", "moon", "gcbc")
+    assert "method 'sac' is not in params.yaml" in stage(workspace, "train", "block_push", "sac")

@@ -1,0 +1,88 @@
+"""Killed, interrupted and starved of disk: nothing is lost and the next run continues."""
+
+import os
+import random
+import resource
+import signal
+import sys
+import time
+
+import pytest
+
+STEPS = "methods.c_beso.train.block_push.optimization.steps"
+TRAIN = (sys.executable, "-m", "stages.train", "block_push", "c_beso")
+
+
+def wait_for_state(workspace, since=0.0, timeout=60):
+    """Until a training saved its state after `since`; its time of change."""
+    deadline = time.monotonic() + timeout
+    while time.monotonic() < deadline:
+        times = [path.stat().st_mtime for path in workspace.folder.glob(".scratch/*/state.safetensors")]
+        if times and max(times) > since:
+            return max(times)
+        time.sleep(0.02)
+    pytest.fail("no training state was saved")
+
+
+@pytest.fixture
+def slow(workspace):
+    """One seed, enough steps to be caught in the middle, state saved after every step."""
+    workspace.set("seeds", [1])
+    workspace.set(STEPS, 400)
+    workspace.set("machine.save_seconds", 0)
+    return workspace
+
+
+def test_killed_five_times_and_resumed_gives_the_undisturbed_checkpoint(slow, tmp_path):
+    undisturbed = slow.copy(tmp_path / "undisturbed")
+    undisturbed.run(*TRAIN)
+    rng, last = random.Random(0), 0.0
+    for _ in range(5):
+        process = slow.start(*TRAIN)
+        last = wait_for_state(slow, last)
+        time.sleep(rng.uniform(0, 0.4))
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+    output = slow.run(*TRAIN).stdout
+    assert "continuing at step" in output
+    assert slow.files("models", "curves") == undisturbed.files("models", "curves")
+    assert not list(slow.folder.glob(".scratch/*"))
+
+
+def test_ctrl_c_is_one_line_and_the_next_repro_continues(slow):
+    before = slow.files("data", "results", "reports")
+    process = slow.start("dvc", "repro", "train@block_push-c_beso")
+    wait_for_state(slow)
+    os.killpg(process.pid, signal.SIGINT)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert output.count("interrupted; finished work is kept") == 1
+    assert "Traceback" not in output
+    assert slow.files("data", "results", "reports") == before
+    output = slow.dvc("repro", "train@block_push-c_beso").stdout
+    assert "continuing at step" in output
+
+
+@pytest.mark.parametrize(
+    ("command", "limit", "kept"),
+    [
+        (TRAIN, 20_000, ("data", "models", "curves", "results", "reports")),
+        ((sys.executable, "-m", "stages.collect", "block_push"), 50_000, ("data", "models", "results", "reports")),
+        ((sys.executable, "-m", "stages.tables"), 5_000, ("data", "models", "results")),
+    ],
+)
+def test_a_full_disk_is_one_line_and_replaces_nothing(workspace, command, limit, kept):
+    """A limit on the size of files stands for the full disk: writing fails half-way in the same place."""
+    workspace.set("training.validation.every", 30)
+    before = workspace.files(*kept)
+    done = workspace.run(
+        *command,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    assert done.returncode == 1
+    assert "error: File too large" in done.stdout
+    assert "Traceback" not in done.stdout
+    assert workspace.files(*kept) == before
+    assert not [path for path in workspace.folder.rglob("*.partial") if ".dvc" not in path.parts]
+    workspace.run(*command)

@@ -1,0 +1,97 @@
+"""The pipeline as its user meets it: `dvc repro` and its relatives, on the smoke profile."""
+
+import time
+
+from .conftest import Workspace
+
+TIMED = ("results/latency.csv", "reports/latency.tex", "reports/report.html")  # timings differ from run to run
+SAMPLE_STEPS = "methods.c_beso.sample.block_push.steps"
+LEARNING_RATE = "methods.gcbc.train.block_push.optimization.learning_rate"
+
+
+def test_another_clone_with_another_number_of_workers_gives_the_same_bytes(finished, tmp_path):
+    other = Workspace.fresh(tmp_path)
+    other.set("machine.workers", 1)
+    other.dvc("repro")
+    ours, theirs = finished.lock(), other.lock()
+    assert ours.keys() == theirs.keys()
+    assert {path for path in ours if ours[path] != theirs[path]} <= set(TIMED)
+    for name in ("tables.tex", "comparison.csv", "figures/scores_block_push.pdf", "figures/scores_block_push.png"):
+        assert (finished.folder / "reports" / name).read_bytes() == (other.folder / "reports" / name).read_bytes()
+
+
+def test_no_change_runs_nothing_in_under_5_seconds(finished):
+    start = time.monotonic()
+    assert finished.repro() == []
+    assert time.monotonic() - start < 5
+
+
+def test_a_changed_sampler_reruns_evaluation_tables_and_page(workspace):
+    workspace.set(SAMPLE_STEPS, 4)
+    assert workspace.repro() == ["evaluate@block_push-c_beso", "tables", "page"]
+
+
+def test_a_changed_learning_rate_reruns_that_method_only(workspace):
+    workspace.set(LEARNING_RATE, 0.002)
+    assert workspace.repro() == ["train@block_push-gcbc", "evaluate@block_push-gcbc", "tables", "page"]
+
+
+def test_a_change_in_a_methods_file_reruns_that_method_only(workspace):
+    path = workspace.folder / "beso/methods/gcbc.py"
+    path.write_text(path.read_text() + "\n# changed\n")
+    ran = workspace.repro()
+    assert [stage for stage in ran if "@" in stage] == ["train@block_push-gcbc", "evaluate@block_push-gcbc"]
+
+
+def test_machine_settings_rerun_nothing_but_the_page(workspace):
+    workspace.set("machine.workers", 1)
+    assert workspace.repro() == ["page"]  # it prints params.yaml
+
+
+def test_one_stage_can_be_rerun_by_name(workspace):
+    before = workspace.files("models")
+    assert workspace.repro("train@block_push-c_beso") == []
+    assert workspace.repro("--force", "--single-item", "train@block_push-c_beso") == ["train@block_push-c_beso"]
+    assert workspace.files("models") == before
+
+
+def test_diffs_name_what_changed(workspace):
+    workspace.set(LEARNING_RATE, 0.002)
+    workspace.set("evaluation.max_actions", 5)
+    shown = workspace.dvc("params", "diff").stdout
+    assert LEARNING_RATE in shown
+    assert "0.002" in shown
+    workspace.repro("evaluate@block_push-gcbc")
+    shown = workspace.dvc("metrics", "diff").stdout
+    assert "training_goals.length" in shown
+    assert "gcbc.json" in shown
+
+
+def test_plots_show_the_training_curves(workspace):
+    workspace.dvc("plots", "show")
+    page = (workspace.folder / "dvc_plots/index.html").read_text()
+    assert "validation_error" in page
+    assert "training_loss" in page
+
+
+def test_results_can_be_shared_through_a_remote(finished, workspace, tmp_path):
+    remote = tmp_path / "remote"
+    workspace.dvc("remote", "add", "--default", "storage", str(remote))
+    workspace.commit()
+    workspace.dvc("push")
+    clone = tmp_path / "clone"
+    workspace.run("git", "clone", "-q", str(workspace.folder), str(clone))
+    other = Workspace(clone)
+    other.dvc("pull")
+    assert other.files("data", "models", "results") == finished.files("data", "models", "results")
+    assert other.repro() == []
+
+
+def test_a_reverted_parameter_is_restored_without_running(workspace):
+    before = workspace.files("models", "results")
+    workspace.set(LEARNING_RATE, 0.002)
+    workspace.repro("evaluate@block_push-gcbc")
+    assert workspace.files("models", "results") != before
+    workspace.set(LEARNING_RATE, 0.001)
+    assert workspace.repro("evaluate@block_push-gcbc") == []
+    assert workspace.files("models", "results") == before
