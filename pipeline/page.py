@@ -51,7 +51,7 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
     return environment.get_template("report.html.j2").render(
         **values,
         **{"figures": figures, "films": _films(params), "latency": latency},
-        **{"params_text": PATH.read_text(encoding="utf-8"), "versions": _versions()},
+        **{"params_text": PATH.read_text(encoding="utf-8"), "versions": versions()},
     )
 
 
@@ -78,6 +78,7 @@ def _data_url(path: Path, kind: str) -> str:
     return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on."""
     versions = {name: importlib.metadata.version(name) for name in PACKAGES}
     return {"Python": platform.python_version(), "System": f"{platform.system()} {platform.machine()}", **versions}

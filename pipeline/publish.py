@@ -1,0 +1,46 @@
+"""`python -m pipeline.publish` archives the finished run in reports/published/<profile>/.
+
+The folder holds what the numbers came from: parameters, versions, models, training curves, a row an episode, metrics,
+comparison, tables and figures.
+"""
+
+import shutil
+from pathlib import Path
+
+from beso.errors import UserError
+from beso.files import replacing, write_json
+from pipeline import params, paths
+from pipeline.page import versions
+from pipeline.params import Params
+from pipeline.stage import run
+
+FOLDER = paths.REPORTS / "published"
+
+
+def main() -> None:
+    configuration = params.load()
+    folder = FOLDER / configuration.profile
+    with replacing(folder) as temporary:
+        for path in _contents(configuration):
+            if not path.exists():
+                raise UserError(f"{path} is missing: run `dvc repro` first")
+            target = temporary / (path.relative_to(paths.REPORTS) if path.is_relative_to(paths.REPORTS) else path)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if path.is_dir():
+                shutil.copytree(path, target)
+            else:
+                shutil.copyfile(path, target)
+        write_json(temporary / "environment.json", versions())
+    print(f"archived in {folder}")
+
+
+def _contents(configuration: Params) -> list[Path]:
+    grid = configuration.grid
+    cells = [(environment, method) for environment in grid.envs for method in grid.methods]
+    kinds = (paths.models, paths.curve, paths.episodes, paths.metrics)
+    reports = [paths.REPORTS / name for name in ("tables.tex", "comparison.csv", "figures")]
+    return [params.PATH, *reports, *(kind(*cell) for cell in cells for kind in kinds)]
+
+
+if __name__ == "__main__":
+    run(main)
