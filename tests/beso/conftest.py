@@ -1,0 +1,108 @@
+"""A small play dataset and small training jobs, shared by the tests of the library."""
+
+import numpy as np
+import pytest
+
+from beso import methods
+from beso.config import build
+from beso.data.play import Episode, assemble
+from beso.data.spec import SPECS
+from beso.training_config import OptimizationConfig, TrainingConfig, TrainingJob, ValidationConfig
+
+# The smallest sensible model of every method, as it would stand in params.yaml, and how it generates actions.
+TRANSFORMER = {
+    "width": 32,
+    "layers": 2,
+    "heads": 2,
+    "window": 3,
+    "attention_dropout": 0.1,
+    "residual_dropout": 0.1,
+    "conditioning": "sequential",
+}
+DIFFUSION = {
+    "sigma_data": 0.5,
+    "sigma_min": 0.05,
+    "sigma_max": 1.0,
+    "density": "log_logistic",
+    "location": -0.6931471805599453,
+    "scale": 0.5,
+}
+SAMPLING = {
+    "sampler": "ddim",
+    "schedule": "exponential",
+    "steps": 3,
+    "sigma_min": 0.05,
+    "sigma_max": 1.0,
+    "context": "clean",
+}
+MODELS = {
+    "gcbc": {"width": 32, "layers": 2, "dropout": 0.1},
+    "c_beso": {"transformer": TRANSFORMER, "diffusion": DIFFUSION},
+    "cfg_beso": {"transformer": TRANSFORMER, "diffusion": DIFFUSION, "goal_dropout": 0.2},
+}
+SAMPLINGS = {"gcbc": {}, "c_beso": SAMPLING, "cfg_beso": {**SAMPLING, "guidance_scale": 2.0}}
+OPTIMIZATION = {
+    "steps": 8,
+    "batch_size": 4,
+    "optimizer": "adam",
+    "learning_rate": 1e-3,
+    "weight_decay": 0.01,
+    "schedule": "cosine",
+    "ema_decay": 0.9,
+    "precision": "fp32",
+}
+
+
+@pytest.fixture
+def spec():
+    return SPECS["block_push"]
+
+
+@pytest.fixture
+def small_models():
+    """(model, sampling) of every method, as plain mappings."""
+    return {name: (MODELS[name], SAMPLINGS[name]) for name in MODELS}
+
+
+def random_episode(steps, spec, rng):
+    """Smooth random paths; two tasks completed, the later task number first."""
+    tasks = np.zeros((steps, len(spec.tasks)))
+    tasks[steps // 3, 2] = tasks[2 * steps // 3, 1] = 1
+    return Episode(
+        0.1 * rng.standard_normal((steps, spec.observation_size)).cumsum(axis=0),
+        0.03 * np.sin(np.arange(steps)[:, None] / 5 + rng.uniform(0, 6, spec.action_size)),
+        tasks,
+    )
+
+
+@pytest.fixture
+def make_dataset(spec):
+    """make_dataset(lengths, seed) -> a dataset with episodes of these lengths."""
+
+    def make(lengths=(12, 15, 9, 20, 11, 14), seed=0):
+        rng = np.random.default_rng(seed)
+        return assemble([random_episode(n, spec, rng) for n in lengths], spec, {"source": "random paths"})
+
+    return make
+
+
+@pytest.fixture
+def dataset(make_dataset):
+    return make_dataset()
+
+
+@pytest.fixture
+def make_job(small_models):
+    """make_job(method, model={}, every=3, seed=1, **optimization changes) -> a training job of a few steps."""
+
+    def make(method="c_beso", model=None, every=3, seed=1, **optimization):
+        values = {**small_models[method][0], **(model or {})}
+        config = TrainingConfig(
+            build(methods.load(method).Config, values, "model"),
+            build(OptimizationConfig, {**OPTIMIZATION, **optimization}, "optimization"),
+        )
+        return TrainingJob(
+            method, config, ValidationConfig(every, windows=6), train_fraction=0.7, root_seed=0, seed=seed
+        )
+
+    return make
