@@ -169,16 +169,16 @@ def test_a_step_to_zero_returns_the_denoised_action(name):
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("name", SAMPLERS)
-def test_results_are_finite_and_close_to_the_data_for_three_steps_of_every_schedule(name, schedule):
+def test_ten_steps_of_every_schedule_end_near_the_data(name, schedule):
     generator = torch.Generator().manual_seed(0)
-    sigmas = SCHEDULES[schedule](3, 0.005, 1.0).tolist()
+    sigmas = SCHEDULES[schedule](10, 0.005, 1.0).tolist()
 
     def draw():
         return torch.randn(1000, generator=generator)
 
-    samples = SAMPLERS[name](gaussian, draw(), sigmas, draw)
-    # Three steps are coarse, but a mean of the Gaussian within a tenth and no stray samples are not too much to ask.
-    assert samples.mean().item() == pytest.approx(MEAN, abs=0.1)
+    samples = SAMPLERS[name](gaussian, MEAN + math.sqrt(STD**2 + 1) * draw(), sigmas, draw)
+    # The mean of 1000 samples of this Gaussian has a standard error of 0.013; the largest lies about 3.3 STD out.
+    assert samples.mean().item() == pytest.approx(MEAN, abs=0.07)
     assert (samples - MEAN).abs().max() < 6 * STD
 
 
