@@ -1,0 +1,156 @@
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+import safetensors.torch
+import torch
+
+from beso import checkpoint, methods
+from beso.config import build
+from beso.data.scaling import Scaling
+from beso.errors import UserError
+from beso.noise import EpisodeNoise
+from beso.training import Trained
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture
+def save(dataset, spec, make_job, tmp_path):
+    """save(job) -> the policy that was saved as a checkpoint in tmp_path."""
+
+    def save(job):
+        generator = torch.Generator().manual_seed(0)
+        method = methods.load(job.method).Method(job.config.model, None, spec.sizes, generator)
+        weights = {key: value.detach().clone() for key, value in method.state_dict().items()}
+        scaling = Scaling.fit(dataset, np.arange(3), spec)
+        curve = [{"step": 8, "training_loss": 0.5}]
+        checkpoint.save(tmp_path, job, Trained(weights, scaling, curve), "digest")
+        return method.eval(), scaling
+
+    return save
+
+
+@pytest.fixture
+def load(small_models, spec, tmp_path):
+    def load(job, **sampling):
+        values = {**small_models[job.method][1], **sampling}
+        chosen = build(methods.load(job.method).Sampling, values, "sampling")
+        return checkpoint.load(tmp_path, job, chosen, spec, CPU)
+
+    return load
+
+
+def refused(message, function, *arguments):
+    with pytest.raises(UserError, match=message) as caught:
+        function(*arguments)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", methods.names())
+def test_a_loaded_policy_acts_like_the_saved_one(save, load, make_job, name):
+    job = make_job(name)
+    saved, scaling = save(job)
+    loaded, loaded_scaling = load(job, guidance_scale=1.0) if name == "cfg_beso" else load(job)
+    assert loaded_scaling == scaling
+    assert not loaded.training
+    window = job.config.model.window
+    generator = torch.Generator().manual_seed(1)
+    observations, actions, goal = (
+        torch.randn(shape, generator=generator) for shape in ((2, window, 10), (2, window - 1, 2), (2, 1, 10))
+    )
+    with torch.inference_mode():
+        results = [
+            policy.act(observations, actions, goal, EpisodeNoise([np.random.default_rng(i) for i in range(2)]))
+            for policy in (saved, loaded)
+        ]
+    assert torch.equal(*results)
+
+
+def test_two_saves_are_the_same_bytes_without_time_or_place(save, make_job, tmp_path):
+    job = make_job()
+    save(job)
+    first = [path.read_bytes() for path in checkpoint.paths(tmp_path, job.seed)]
+    save(job)
+    assert [path.read_bytes() for path in checkpoint.paths(tmp_path, job.seed)] == first
+    assert str(tmp_path).encode() not in b"".join(first)
+
+
+def test_the_description_holds_job_data_scaling_and_curve(save, make_job, tmp_path):
+    job = make_job()
+    _, scaling = save(job)
+    description = checkpoint.load_description(tmp_path, job.seed)
+    assert description["job"] == json.loads(json.dumps(dataclasses.asdict(job)))
+    assert description["data"] == "digest"
+    assert Scaling.from_dict(description["scaling"]) == scaling
+    assert description["curve"] == [{"step": 8, "training_loss": 0.5}]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"learning_rate": 2e-3}, r"config\.optimization\.learning_rate is 0\.001 there and 0\.002 here"),
+        ({"optimizer": "adamw"}, r"config\.optimization\.optimizer is 'adam' there and 'adamw' here"),
+        ({"method": "cfg_beso"}, r"goal_dropout is None there and 0\.2 here"),
+        ({"every": 5}, r"validation\.every is 3 there and 5 here"),
+    ],
+)
+def test_a_checkpoint_of_another_configuration_is_refused_with_the_key(save, load, make_job, changes, message):
+    save(make_job())
+    refused(
+        rf"seed1\.json is a checkpoint of another configuration: .*{message}; train again", load, make_job(**changes)
+    )
+
+
+def test_sampling_may_change_after_training(save, load, make_job):
+    job = make_job()
+    save(job)
+    policy, _ = load(job, sampler="heun", steps=7)
+    assert policy.sampling.sampler == "heun"
+    assert len(policy.sigmas) == 8
+
+
+def test_a_missing_model_is_refused(load, make_job, save, tmp_path):
+    refused(r"seed1\.json is missing: train this model first", load, make_job())
+    save(make_job())
+    checkpoint.paths(tmp_path, 1)[0].unlink()
+    refused(r"seed1\.safetensors is missing or damaged", load, make_job())
+
+
+def test_the_model_of_another_seed_is_refused(save, load, make_job, tmp_path):
+    save(make_job(seed=1))
+    for here, there in zip(checkpoint.paths(tmp_path, 1), checkpoint.paths(tmp_path, 2), strict=True):
+        shutil.copy(here, there)
+    refused("seed is 1 there and 2 here", load, make_job(seed=2))
+
+
+@pytest.mark.parametrize("keep", [0, 4, 200, -10])
+def test_truncated_weights_are_refused(save, load, make_job, tmp_path, keep):
+    save(make_job())
+    weights = checkpoint.paths(tmp_path, 1)[0]
+    weights.write_bytes(weights.read_bytes()[:keep])
+    refused(r"seed1\.safetensors is missing or damaged", load, make_job())
+
+
+def test_weights_that_are_no_safetensors_are_never_unpickled(save, load, make_job, tmp_path):
+    save(make_job())
+    torch.save({"weights": torch.zeros(3)}, checkpoint.paths(tmp_path, 1)[0])
+    refused(r"seed1\.safetensors is missing or damaged", load, make_job())
+
+
+@pytest.mark.xfail(strict=True, raises=json.JSONDecodeError, reason="the description is trusted")
+def test_a_damaged_description_is_refused(save, load, make_job, tmp_path):
+    save(make_job())
+    description = checkpoint.paths(tmp_path, 1)[1]
+    description.write_text(description.read_text()[:100])
+    refused(r"seed1\.json", load, make_job())
+
+
+@pytest.mark.xfail(strict=True, raises=RuntimeError, reason="load_state_dict's error is passed on")
+def test_weights_of_another_network_are_refused(save, load, make_job, tmp_path):
+    save(make_job())
+    weights = checkpoint.paths(tmp_path, 1)[0]
+    weights.write_bytes(safetensors.torch.save({"other": torch.zeros(3)}))
+    refused(r"seed1\.safetensors", load, make_job())

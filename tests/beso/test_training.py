@@ -1,0 +1,278 @@
+import dataclasses
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import safetensors.torch
+import torch
+
+import beso
+from beso import methods, training
+from beso.config import build
+from beso.data.scaling import Scaling
+from beso.data.windows import Windows
+from beso.errors import UserError
+from beso.seeding import torch_generator
+from beso.training_config import OptimizationConfig, ValidationConfig
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture
+def run(dataset, spec, tmp_path):
+    """run(job, state file) -> what training makes of the small dataset."""
+    return lambda job, state=None: training.train(job, dataset, spec, CPU, state or tmp_path / "unused")
+
+
+def weights_bytes(trained):
+    return safetensors.torch.save(trained.weights)
+
+
+class Killed(BaseException):
+    """Stands for a kill: nothing catches it."""
+
+
+@pytest.fixture
+def kill_at(monkeypatch):
+    """kill_at(n): the n-th batch from now on is never drawn."""
+    original = Windows.sample
+
+    def arm(call):
+        calls = iter(range(1, call + 1))
+
+        def sample(self, size, generator):
+            if size == 4 and next(calls) == call:  # the jobs' batch size; validation draws 6
+                raise Killed
+            return original(self, size, generator)
+
+        monkeypatch.setattr(Windows, "sample", sample)
+
+    yield arm
+    monkeypatch.setattr(Windows, "sample", original)
+
+
+@pytest.mark.parametrize("optimizer", ["adam", "adamw", "muon"])
+@pytest.mark.parametrize("name", methods.names())
+def test_a_killed_run_continues_to_the_same_bytes(run, make_job, monkeypatch, tmp_path, kill_at, name, optimizer):
+    job, state = make_job(name, optimizer=optimizer), tmp_path / "state"
+    undisturbed = run(job)
+    assert not (tmp_path / "unused").exists(), "a short run saves no state"
+
+    monkeypatch.setattr(training, "SAVE_SECONDS", 0.0)  # save after every step
+    for more_steps in (3, 4):  # killed before step 3, then before step 6: once before a measurement, once after
+        kill_at(more_steps)
+        with pytest.raises(Killed):
+            run(job, state)
+    kill_at(1000)
+    resumed = run(job, state)
+    assert weights_bytes(resumed) == weights_bytes(undisturbed)
+    assert resumed.curve == undisturbed.curve
+    assert resumed.scaling == undisturbed.scaling
+
+
+def test_steps_after_the_last_saved_state_are_repeated_exactly(run, make_job, monkeypatch, tmp_path, kill_at):
+    job, state = make_job("cfg_beso"), tmp_path / "state"
+    undisturbed = run(job)
+    monkeypatch.setattr(training, "SAVE_SECONDS", 0.0)
+    kill_at(3)
+    with pytest.raises(Killed):
+        run(job, state)
+    saved = state.read_bytes()
+    monkeypatch.setattr(training, "SAVE_SECONDS", math.inf)
+    kill_at(4)
+    with pytest.raises(Killed):
+        run(job, state)
+    assert state.read_bytes() == saved
+    kill_at(1000)
+    assert weights_bytes(run(job, state)) == weights_bytes(undisturbed)
+
+
+def test_a_finished_state_gives_the_same_model_without_training(run, make_job, monkeypatch, tmp_path, kill_at):
+    monkeypatch.setattr(training, "SAVE_SECONDS", 0.0)
+    finished = run(make_job(), tmp_path / "state")
+    kill_at(1)
+    again = run(make_job(), tmp_path / "state")
+    assert weights_bytes(again) == weights_bytes(finished)
+    assert again.curve == finished.curve
+
+
+@pytest.mark.parametrize("name", methods.names())
+def test_two_runs_are_the_same_bytes_and_two_seeds_are_not(run, make_job, name):
+    torch.manual_seed(1)
+    first = run(make_job(name))
+    torch.manual_seed(2)
+    second, other = run(make_job(name)), run(make_job(name, seed=2))
+    assert weights_bytes(first) == weights_bytes(second)
+    assert first.curve == second.curve
+    assert weights_bytes(first) != weights_bytes(other)
+    assert first.scaling != other.scaling, "every seed has its own split"
+
+
+@pytest.mark.parametrize("name", ["gcbc", "cfg_beso"])
+def test_validation_does_not_disturb_training(run, make_job, name):
+    often, seldom = run(make_job(name, every=1)), run(make_job(name, every=100))
+    assert weights_bytes(often) == weights_bytes(seldom)
+    assert [row["step"] for row in often.curve] == list(range(1, 9))
+    assert [row["step"] for row in seldom.curve] == [8]
+    assert often.curve[-1]["validation_loss"] == seldom.curve[-1]["validation_loss"]
+    assert often.curve[-1]["validation_error"] == seldom.curve[-1]["validation_error"]
+    # The training loss is a mean since the last measurement.
+    mean = np.mean([row["training_loss"] for row in often.curve])
+    assert seldom.curve[0]["training_loss"] == pytest.approx(mean, rel=1e-5)
+
+
+def test_measurements_come_at_their_interval_and_after_the_last_step(run, make_job):
+    curve = run(make_job("gcbc", every=3)).curve
+    assert [row["step"] for row in curve] == [3, 6, 8]
+    assert all(math.isfinite(value) for row in curve for value in row.values())
+
+
+def plain_training(job, dataset, spec):
+    """The loop in its simplest form: the weights after every step, for a constant rate and Adam."""
+    episodes, _ = training.split(job, len(dataset))
+    scaling = Scaling.fit(dataset, episodes, spec)
+    model = job.config.model
+    windows = Windows(dataset, episodes, scaling, model.window, spec.goal_window)
+    initial = torch_generator(job.root_seed, "initial weights", job.seed)
+    method = methods.load(job.method).Method(model, None, spec.sizes, initial).train()
+    # Fused like the loop's own: the biases of the keys have no gradient but rounding, which Adam blows up to full size.
+    optimizer = torch.optim.Adam(method.parameters(), job.config.optimization.learning_rate, fused=True)
+    draws, history = torch_generator(job.root_seed, "training", job.seed), []
+    history.append({key: value.clone() for key, value in method.state_dict().items()})
+    for _ in range(job.config.optimization.steps):
+        optimizer.zero_grad()
+        method.loss(windows.sample(job.config.optimization.batch_size, draws), draws).backward()
+        optimizer.step()
+        history.append({key: value.clone() for key, value in method.state_dict().items()})
+    return history
+
+
+@pytest.mark.parametrize("ema_decay", [0.0, 0.3, 0.999])
+def test_saved_weights_are_the_average_with_warm_up(run, make_job, dataset, spec, ema_decay):
+    """Decay min(ema_decay, (1 + n) / (10 + n)) at step n = 0, 1, ...; of 0 the last weights remain."""
+    constant = {"schedule": "constant", "weight_decay": 0.0}
+    job = make_job("c_beso", ema_decay=ema_decay, **constant)
+    history = plain_training(job, dataset, spec)
+    average = history[0]
+    for n, weights in enumerate(history[1:]):
+        decay = min(ema_decay, (1 + n) / (10 + n))
+        average = {key: decay * average[key] + (1 - decay) * weights[key] for key in weights}
+    trained = run(job)
+    for key, value in trained.weights.items():
+        assert torch.allclose(value, average[key], atol=1e-6), key  # updates are 1e-3 each
+
+
+def test_training_reduces_the_loss(run, make_job):
+    job = make_job("gcbc", every=100, steps=200, batch_size=32, ema_decay=0.0, model={"dropout": 0.0})
+    curve = run(job).curve
+    assert curve[-1]["training_loss"] < 0.5 * curve[0]["training_loss"]
+
+
+def test_statistics_come_from_the_training_episodes_alone(run, make_job, dataset, spec):
+    job = make_job("gcbc")
+    episodes, held_out = training.split(job, len(dataset))
+    assert sorted([*episodes, *held_out]) == list(range(len(dataset)))
+    assert run(job).scaling == Scaling.fit(dataset, episodes, spec)
+
+
+def test_a_window_that_does_not_fit_the_data_is_refused(run, make_job, small_models):
+    transformer = {**small_models["c_beso"][0]["transformer"], "window": 30}
+    with pytest.raises(UserError, match="window = 30: the shortest episode has"):
+        run(make_job("c_beso", model={"transformer": transformer}))
+
+
+def test_bfloat16_autocast_trains(run, make_job):
+    trained = run(make_job("c_beso", precision="bf16"))
+    assert all(value.dtype == torch.float32 and value.isfinite().all() for value in trained.weights.values())
+
+
+@pytest.mark.xfail(strict=True, raises=RuntimeError, reason="film_output is registered twice: shared tensors")
+def test_a_film_model_can_save_its_state(run, make_job, small_models, monkeypatch):
+    transformer = {**small_models["c_beso"][0]["transformer"], "conditioning": "film"}
+    monkeypatch.setattr(training, "SAVE_SECONDS", 0.0)
+    run(make_job("c_beso", model={"transformer": transformer}))
+
+
+# Configuration
+
+OPTIMIZATION = {
+    "steps": 1000,
+    "batch_size": 8,
+    "optimizer": "adam",
+    "learning_rate": 1e-3,
+    "weight_decay": 0.0,
+    "schedule": "constant",
+    "ema_decay": 0.999,
+    "precision": "fp32",
+}
+
+
+def rates(schedule, steps):
+    config = build(OptimizationConfig, {**OPTIMIZATION, "schedule": schedule}, "optimization")
+    return [config.learning_rate_at(step) for step in steps]
+
+
+def test_learning_rate_schedules():
+    assert rates("constant", [0, 500, 999]) == [1e-3] * 3
+    assert rates("cosine", [0, 250, 500, 999]) == pytest.approx(
+        [1e-3, 1e-3 * (1 + math.sqrt(0.5)) / 2, 5e-4, 1e-3 * (math.pi / 1000) ** 2 / 4], rel=1e-5
+    )
+    assert rates("step", [0, 99, 100, 199, 200]) == pytest.approx([1e-3, 1e-3, 9.9e-4, 9.9e-4, 9.801e-4])
+
+
+def test_the_published_step_schedule_ends_where_its_authors_did():
+    """1e-4 times 0.99 every 100 steps is 1.8e-6 after 40,000 and 2.4e-7 after 60,000."""
+    config = build(OptimizationConfig, {**OPTIMIZATION, "learning_rate": 1e-4, "schedule": "step"}, "optimization")
+    assert config.learning_rate_at(40_000) == pytest.approx(1.8e-6, abs=0.05e-6)
+    assert config.learning_rate_at(60_000) == pytest.approx(2.4e-7, abs=0.05e-7)
+
+
+def test_training_uses_the_schedule(run, make_job):
+    job = make_job("gcbc", every=1, schedule="cosine")
+    expected = [job.config.optimization.learning_rate_at(step) for step in range(8)]
+    assert [row["learning_rate"] for row in run(job).curve] == expected
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"steps": 0}, {"batch_size": 0}, {"learning_rate": 0}, {"weight_decay": -1}, {"ema_decay": 1}, {"schedule": "x"}],
+)
+def test_impossible_optimization_is_refused(changes):
+    with pytest.raises(UserError, match=f"{next(iter(changes))} = "):
+        build(OptimizationConfig, {**OPTIMIZATION, **changes}, "optimization")
+
+
+def test_impossible_validation_is_refused():
+    for changes in ({"every": 0, "windows": 1}, {"every": 1, "windows": 0}):
+        with pytest.raises(UserError, match="must be at least 1"):
+            build(ValidationConfig, changes, "validation")
+
+
+def test_a_job_is_plain_data_for_json_and_fingerprints(make_job):
+    values = dataclasses.asdict(make_job("cfg_beso"))
+    assert values["config"]["model"]["transformer"]["width"] == 32
+    assert values["config"]["optimization"]["optimizer"] == "adam"
+
+
+def test_trains_where_no_simulator_is_installed():
+    """A GPU machine may have torch and numpy alone."""
+    code = """
+import sys
+
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {"gymnasium", "gymnasium_robotics", "pybullet", "pybullet_data", "mujoco", "dvc"}:
+            raise ImportError(name + " is not here")
+
+sys.meta_path.insert(0, Blocked())
+from beso import checkpoint, methods, training
+for name in methods.names():
+    methods.load(name)
+print("imported", len(methods.names()))
+"""
+    root = Path(beso.__file__).parent.parent
+    result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    assert result.stdout == f"imported {len(methods.names())}\n", result.stderr
