@@ -14,7 +14,7 @@ from beso import methods
 from beso.data.scaling import Scaling
 from beso.data.spec import PlaySpec
 from beso.errors import UserError
-from beso.files import replacing, write_json
+from beso.files import read_json, replacing, write_json
 from beso.training import Trained
 from beso.training_config import TrainingJob
 
@@ -45,12 +45,16 @@ def load_description(folder: Path, seed: int) -> dict[str, Any]:
     """Everything about a model but its weights.
 
     Raises:
-        UserError: the file is missing.
+        UserError: the file is missing or damaged.
     """
     path = paths(folder, seed)[1]
     if not path.is_file():
         raise UserError(f"{path} is missing: train this model first")
-    return json.loads(path.read_text(encoding="utf-8"))
+    description = read_json(path)
+    absent = [key for key in ("job", "data", "scaling", "curve") if key not in description]
+    if absent:
+        raise UserError(f"{path} is damaged: it has no {absent[0]!r}")
+    return description
 
 
 def load(
@@ -77,6 +81,9 @@ def load(
         raise UserError(f"{weights_path} is missing or damaged ({error})") from None
     unused = torch.Generator()  # initial weights, overwritten below
     method = methods.load(job.method).Method(job.config.model, sampling, spec.sizes, unused)
+    shapes = {key: tuple(value.shape) for key, value in weights.items()}
+    if shapes != {key: tuple(value.shape) for key, value in method.state_dict().items()}:
+        raise UserError(f"{weights_path} is damaged: its weights are not those of a {job.method} of this configuration")
     method.load_state_dict(weights)
     return method.to(device).eval(), Scaling.from_dict(description["scaling"])
 

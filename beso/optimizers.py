@@ -35,7 +35,8 @@ def make(
         return [torch.optim.AdamW(parameters, fused=True, **settings)]
     hidden = [p for p in parameters if p.ndim == 2 and min(p.shape) >= SMALLEST_HIDDEN]
     rest = [p for p in parameters if not any(p is h for h in hidden)]
-    return [Muon(hidden, **settings), torch.optim.AdamW(rest, fused=True, **settings)]
+    muon = [Muon(hidden, **settings)] if hidden else []  # a network this small has no hidden matrix
+    return [*muon, torch.optim.AdamW(rest, fused=True, **settings)]
 
 
 class Muon(torch.optim.Optimizer):
@@ -53,7 +54,8 @@ class Muon(torch.optim.Optimizer):
         for group in self.param_groups:
             by_shape: dict[torch.Size, list[Tensor]] = {}
             for parameter in group["params"]:
-                by_shape.setdefault(parameter.shape, []).append(parameter)
+                if parameter.grad is not None:
+                    by_shape.setdefault(parameter.shape, []).append(parameter)
             for shape, parameters in by_shape.items():
                 gradients = [p.grad for p in parameters if p.grad is not None]
                 momenta = [self.state[p].setdefault("momentum", torch.zeros_like(p)) for p in parameters]

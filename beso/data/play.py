@@ -9,7 +9,6 @@
 Episode e is steps [ends[e-1], ends[e]). Row t holds the observation at t and the action taken there.
 """
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 
 from beso.data.spec import PlaySpec
 from beso.errors import UserError
-from beso.files import replacing, sha256, write_json
+from beso.files import read_json, replacing, sha256, write_json
 
 ARRAYS = ("observations", "actions", "tasks", "episode_ends")
 
@@ -66,6 +65,8 @@ class PlayDataset:
 def assemble(episodes: Iterable[Episode], spec: PlaySpec, meta: dict[str, Any]) -> PlayDataset:
     """Join episodes into one dataset and check it."""
     episodes = list(episodes)
+    if len(episodes) < 2:
+        raise UserError(f"{meta.get('source')}: {len(episodes)} episodes, at least two are needed")
     dataset = PlayDataset(
         observations=np.concatenate([e.observations for e in episodes]).astype(np.float32),
         actions=np.concatenate([e.actions for e in episodes]).astype(np.float32),
@@ -120,11 +121,12 @@ def load(folder: Path, spec: PlaySpec) -> PlayDataset:
     """
     if not (folder / "meta.json").is_file():
         raise UserError(f"{folder} is not a play dataset: it has no meta.json; run `dvc repro collect` first")
-    meta = json.loads((folder / "meta.json").read_text(encoding="utf-8"))
+    meta = read_json(folder / "meta.json")
+    digests = meta.get("sha256", {})
     arrays = {}
     for name in ARRAYS:
         arrays[name] = read_npy(folder / f"{name}.npy")
-        if sha256(folder / f"{name}.npy") != meta["sha256"][name]:
+        if sha256(folder / f"{name}.npy") != digests.get(name):
             raise UserError(f"{folder / name}.npy is not the file that meta.json describes: its SHA-256 differs")
     dataset = PlayDataset(**arrays, meta=meta)
     check(dataset, spec, str(folder))
@@ -146,7 +148,10 @@ def read_npy(path: Path) -> np.ndarray:
         UserError: the file is missing, truncated, or not a plain array.
     """
     try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        if not isinstance(array, np.ndarray):
+            raise ValueError("it is an archive of several")
+        return array
     except FileNotFoundError:
         raise UserError(f"{path} is missing") from None
     except (ValueError, EOFError, OSError) as error:

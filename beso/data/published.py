@@ -81,11 +81,11 @@ def _read(path: Path) -> np.ndarray:
         return read_npy(path)
     try:
         tensor = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises many kinds for damaged files
-        raise UserError(f"{path} cannot be read as plain tensors ({str(error).splitlines()[0]})") from None
+    except Exception as error:  # torch raises many kinds, with advice that does not belong here
+        raise UserError(f"{path} is damaged or holds more than plain tensors ({type(error).__name__})") from None
     if not isinstance(tensor, torch.Tensor):
         raise UserError(f"{path} holds a {type(tensor).__name__}, expected one tensor")
-    return tensor.numpy()
+    return tensor.detach().numpy()
 
 
 IMPORTERS = {"block_push": load_block_push}

@@ -30,7 +30,8 @@ def log_normal(uniform: Tensor, sigma_min: float, sigma_max: float, location: fl
     low = torch.special.ndtr(torch.tensor((math.log(sigma_min) - location) / scale, dtype=torch.float64))
     high = torch.special.ndtr(torch.tensor((math.log(sigma_max) - location) / scale, dtype=torch.float64))
     low, high = low.to(uniform.device), high.to(uniform.device)
-    return torch.exp(location + scale * torch.special.ndtri(low + (high - low) * uniform.double()))
+    sigma = torch.exp(location + scale * torch.special.ndtri(low + (high - low) * uniform.double()))
+    return sigma.clamp(sigma_min, sigma_max)  # rounding at the ends of [0, 1] would reach 0 and infinity
 
 
 def uniform(uniform: Tensor, sigma_min: float, sigma_max: float, location: float, scale: float) -> Tensor:

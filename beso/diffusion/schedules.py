@@ -10,6 +10,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from beso.errors import UserError
+
 Schedule = Callable[[int, float, float], Tensor]
 
 KARRAS_RHO = 5.0  # the published configuration's; Karras et al. recommend 7 for images
@@ -59,7 +61,9 @@ def iddpm(steps: int, sigma_min: float, sigma_max: float) -> Tensor:
     for j in range(IDDPM_STEPS, 0, -1):
         ratio = max(alpha_bar(j - 1) / alpha_bar(j), IDDPM_C1)
         levels.append(math.sqrt((levels[-1] ** 2 + 1) / ratio - 1))
-    inside = torch.tensor([u for u in reversed(levels) if sigma_min <= u <= sigma_max], dtype=torch.float64)
+    inside = torch.tensor([u for u in levels if sigma_min <= u <= sigma_max][::-1], dtype=torch.float64)
+    if steps > len(inside):
+        raise UserError(f"steps = {steps}: iddpm has {len(inside)} levels from {sigma_min} to {sigma_max}")
     return _ending_in_zero(inside[torch.round(_fractions(steps) * (len(inside) - 1)).long()])
 
 

@@ -81,7 +81,8 @@ class Attention(nn.Module):
         else:
             # The fused kernel would draw its dropout from torch's global generator.
             scores = query @ key.transpose(-2, -1) / math.sqrt(width // self.heads)
-            future = torch.ones(length, length, dtype=torch.bool, device=x.device).triu(1)
+            queries = query.shape[2]  # the last ones
+            future = torch.ones(queries, length, dtype=torch.bool, device=x.device).triu(1 + length - queries)
             weights = scores.masked_fill(future, -math.inf).softmax(dim=-1)
             y = self.dropout(weights, generator) @ value
         return self.residual_dropout(self.output(y.transpose(1, 2).reshape(batch, -1, width)), generator)
@@ -99,13 +100,13 @@ class Block(nn.Module):
         self.residual_dropout = Dropout(config.residual_dropout)
         self.film = None
         if film_inputs is not None:
-            self.film_output = nn.Linear(width, 4 * width)
-            self.film = nn.Sequential(nn.Linear(film_inputs, width), nn.ReLU(), self.film_output)
+            self.film = nn.Sequential(nn.Linear(film_inputs, width), nn.ReLU(), nn.Linear(width, 4 * width))
 
     def start_unconditional(self) -> None:
         """Zero what FiLM adds, so that training starts from the network without a goal."""
         if self.film is not None:
-            nn.init.zeros_(self.film_output.weight)
+            for parameter in self.film[-1].parameters():
+                nn.init.zeros_(parameter)
 
     def forward(self, x: Tensor, goal: Tensor, last_only: bool, generator: torch.Generator | None) -> Tensor:
         """x (B, L, d), goal (B, G, O) -> (B, L, d), or (B, 1, d) for the last position alone."""

@@ -140,7 +140,6 @@ def test_weights_that_are_no_safetensors_are_never_unpickled(save, load, make_jo
     refused(r"seed1\.safetensors is missing or damaged", load, make_job())
 
 
-@pytest.mark.xfail(strict=True, raises=json.JSONDecodeError, reason="the description is trusted")
 def test_a_damaged_description_is_refused(save, load, make_job, tmp_path):
     save(make_job())
     description = checkpoint.paths(tmp_path, 1)[1]
@@ -148,7 +147,6 @@ def test_a_damaged_description_is_refused(save, load, make_job, tmp_path):
     refused(r"seed1\.json", load, make_job())
 
 
-@pytest.mark.xfail(strict=True, raises=RuntimeError, reason="load_state_dict's error is passed on")
 def test_weights_of_another_network_are_refused(save, load, make_job, tmp_path):
     save(make_job())
     weights = checkpoint.paths(tmp_path, 1)[0]

@@ -62,7 +62,6 @@ def test_failure_leaves_the_old_folder_and_nothing_else(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["folder"]
 
 
-@pytest.mark.xfail(strict=True, reason="the old folder is removed before the rename that then fails")
 def test_a_body_that_wrote_nothing_leaves_the_old_folder(tmp_path):
     path = tmp_path / "folder"
     path.mkdir()

@@ -65,7 +65,7 @@ def test_goals_are_scaled_states_with_the_masked_dimensions_at_zero(scaling, dat
 
 def test_dimensions_that_never_change_stay_finite(spec):
     episode = Episode(np.full((5, 16), 0.7), np.full((5, 2), 0.02), np.zeros((5, 4)))
-    constant = assemble([episode], spec, {})
+    constant = assemble([episode, episode], spec, {})
     scaling = Scaling.fit(constant, np.array([0]), spec)
     assert torch.allclose(scaling.observations(torch.from_numpy(constant.observations)), torch.zeros(10), atol=1e-6)
     actions = torch.from_numpy(constant.actions)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from beso.diffusion.schedules import SCHEDULES, VP_BETA_D, VP_BETA_MIN
+from beso.errors import UserError
 
 RANGES = [(0.005, 1.0), (0.05, 1.0)]
 GOLDEN = {
@@ -85,6 +86,7 @@ def test_strides_are_equal_in_the_variable_of_each_schedule():
         assert torch.allclose(strides, strides.mean().expand_as(strides), rtol=1e-12)
 
 
-@pytest.mark.xfail(strict=True, reason="iddpm repeats levels when asked for more steps than its table has")
-def test_iddpm_falls_strictly_for_more_steps_than_its_table_has_levels():
-    assert (SCHEDULES["iddpm"](1000, 0.05, 1.0).diff() < 0).all()
+def test_iddpm_refuses_more_steps_than_its_table_has_levels():
+    assert (SCHEDULES["iddpm"](471, 0.05, 1.0).diff() < 0).all()
+    with pytest.raises(UserError, match=r"steps = 472: iddpm has 471 levels from 0\.05 to 1\.0"):
+        SCHEDULES["iddpm"](472, 0.05, 1.0)
