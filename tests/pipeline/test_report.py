@@ -1,0 +1,103 @@
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from pipeline.video import write_video
+
+
+def test_comparison_has_every_cell_and_follows_from_the_rows(finished):
+    table = pd.read_csv(finished.folder / "reports/comparison.csv")
+    keys = table[["environment", "metric", "method", "goals"]].drop_duplicates()
+    assert len(keys) == len(table) == 1 * 2 * 3 * 2
+    for row in table.itertuples():
+        rows = pd.read_csv(finished.folder / f"results/{row.environment}/{row.method}.csv")
+        rows = rows[rows["goals"] == row.goals]
+        by_seed = [part[row.metric].sum() / len(part) for _, part in rows.groupby("seed")]
+        assert row.ours == pytest.approx(np.mean(by_seed), abs=1e-6)
+        assert row.ours_std == pytest.approx(np.std(by_seed, ddof=1), abs=1e-6)
+        assert (row.seeds, row.episodes) == (2, len(rows))
+    beside = table[table["goals"] == "training"]
+    assert beside[["paper", "difference", "standard_error", "verdict"]].notna().all(axis=None)
+    assert table["data"].eq("scripted demonstrations made here").all()
+
+
+def test_tables_put_ours_beside_the_papers(finished):
+    text = (finished.folder / "reports/tables.tex").read_text()
+    assert "GCBC & C-BESO & CFG-BESO" in text
+    assert len(re.findall(r"\\pm", text)) == 2 * 3 * 3  # metrics x (training, held-out, paper) x methods
+    for number in ("0.13", "0.96", "0.97", "0.93", "0.88"):  # the paper's
+        assert f"{number} ($\\pm$" in text
+    assert "scripted demonstrations made here" in text
+    assert "116,793" in text
+
+
+@pytest.mark.skipif(not shutil.which("pdflatex"), reason="pdflatex is not installed (texlive-latex-recommended)")
+def test_report_compiles(workspace):
+    done = subprocess.run(
+        ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "report.tex"],
+        cwd=workspace.folder / "reports",
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert "Undefined" not in done.stdout
+    assert (workspace.folder / "reports/report.pdf").stat().st_size > 20_000
+
+
+class Links(HTMLParser):
+    """Collects what a page would load, and checks that tags close."""
+
+    def __init__(self):
+        super().__init__()
+        self.sources, self.open = [], []
+
+    def handle_starttag(self, tag, attributes):
+        self.sources += [value for name, value in attributes if name in ("src", "href", "srcset", "data")]
+        if tag not in ("meta", "img", "link", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def test_page_is_whole_and_needs_nothing_else(finished):
+    page = (finished.folder / "reports/report.html").read_text()
+    links = Links()
+    links.feed(page)
+    assert links.open == []
+    assert links.sources
+    assert all(source.startswith("data:") for source in links.sources)
+    assert "url(" not in page
+    assert "@import" not in page
+    for text in ("Main results", "Comparison", "Play data", "Latency", "profile: smoke", "torch", "scripted", "0.96"):
+        assert text in page
+    assert len(page) < 15e6
+
+
+def test_latency_is_measured_for_every_method_at_the_papers_size(finished):
+    table = pd.read_csv(finished.folder / "results/latency.csv")
+    assert set(zip(table["method"], table["batch"], strict=True)) == {
+        (method, batch) for method in ("gcbc", "c_beso", "cfg_beso") for batch in (1, 4)
+    }
+    assert set(table.loc[table["method"] != "gcbc", "parameters"]) == {2_783_762}
+    assert (table["median_ms"] > 0).all()
+
+
+def test_films_play_back(tmp_path):
+    ramp = np.linspace(0, 255, 64, dtype=np.uint8)
+    frames = [np.stack([np.tile(ramp, (48, 1)), np.full((48, 64), 10 * i, np.uint8)] * 2, -1)[..., :3] for i in range(9)]
+    write_video(tmp_path / "film.webm", frames, 20)
+    capture = cv2.VideoCapture(str(tmp_path / "film.webm"))
+    decoded = []
+    while (read := capture.read())[0]:
+        decoded.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2RGB))
+    assert len(decoded) == len(frames)
+    assert np.abs(decoded[-1].astype(int) - frames[-1]).mean() < 12  # VP8 is lossy
+    write_video(tmp_path / "again.webm", frames, 20)
+    assert (tmp_path / "again.webm").read_bytes() == (tmp_path / "film.webm").read_bytes()
