@@ -9,10 +9,14 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
 
 import torch
 from tqdm import tqdm
+
+from beso.errors import UserError
 
 Result = TypeVar("Result")
 
@@ -29,6 +33,9 @@ def map_jobs(
 
     `function` must be importable. An exception in a job is raised here and ends the other workers. One worker means
     this process, so that a debugger can follow.
+
+    Raises:
+        UserError: a worker process was killed.
     """
     jobs = list(jobs)
     workers = min(workers or available_workers(), len(jobs))
@@ -46,20 +53,20 @@ def map_jobs(
             return
         # Spawned, not forked: PyBullet and torch keep threads and locks that a fork would copy half-way.
         context = multiprocessing.get_context("spawn")
-        with context.Pool(workers, initializer=_start_worker) as pool:
-            for result in pool.imap(_Call(function), jobs):
-                yield result
-                progress.update()
-
-
-class _Call:
-    """`function(*job)` as a picklable function of one argument."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self.function = function
-
-    def __call__(self, job: tuple[Any, ...]) -> Any:
-        return self.function(*job)
+        with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker) as executor:
+            try:
+                for result in executor.map(function, *zip(*jobs, strict=True)):
+                    yield result
+                    progress.update()
+            except BrokenProcessPool:
+                raise UserError(
+                    "a worker process was killed, perhaps for lack of memory; nothing was replaced"
+                ) from None
+            except BaseException:
+                executor.shutdown(wait=False, cancel_futures=True)
+                for worker in multiprocessing.active_children():
+                    worker.terminate()
+                raise
 
 
 def _start_worker() -> None:

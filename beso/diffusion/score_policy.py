@@ -143,11 +143,11 @@ class ScorePolicy(nn.Module):
         self, actions: Tensor, sigma: float, observations: Tensor, goal: Tensor, last_only: bool = True
     ) -> Tensor:
         """D(a, s, g, sigma): (B, T, A) -> denoised actions (B, T, A), or (B, 1, A) for the last one."""
-        at = scales(actions.new_full((len(actions),), sigma), self.diffusion.sigma_data)
-        wide = broadcast_to_actions(at)
-        predicted = self.network(wide.into * actions, at.noise, observations, goal, last_only=last_only)
+        at = scales(actions.new_tensor(sigma), self.diffusion.sigma_data)
+        level = at.noise.expand(len(actions))
+        predicted = self.network(at.into * actions, level, observations, goal, last_only=last_only)
         kept = actions[:, -1:] if last_only else actions
-        return wide.skip * kept + wide.out * predicted
+        return at.skip * kept + at.out * predicted
 
     def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise) -> Tensor:
         """Generate the next action.

@@ -184,7 +184,7 @@ class ScoreTransformer(nn.Module):
         at_steps = position[:, goals : goals + steps]
         states = self.embed_state(observations) + at_steps
         pairs = torch.stack([states, self.embed_action(actions) + at_steps], dim=2)  # (B, T, 2, d)
-        tokens = [self.embed_sigma(noise_level.view(batch, 1, 1)), pairs.view(batch, 2 * steps, -1)]
+        tokens = [self.embed_sigma(noise_level.reshape(batch, 1, 1)), pairs.view(batch, 2 * steps, -1)]
         if goals:
             tokens.insert(1, self.embed_state(goal) + position[:, :goals])
         x = torch.cat(tokens, dim=1)

@@ -1,4 +1,6 @@
 import os
+import signal
+import time
 
 import pytest
 import torch
@@ -29,6 +31,27 @@ def test_results_come_in_the_order_of_the_jobs_from_one_thread_each(workers):
 def test_an_error_in_a_job_reaches_the_caller(workers):
     with pytest.raises(UserError, match="job 2 is wrong"):
         list(map_jobs(fail, [(i,) for i in range(4)], workers))
+
+
+def kill_worker(x):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_worker_is_an_error_and_no_endless_wait():
+    with pytest.raises(UserError, match="a worker process was killed"):
+        list(map_jobs(kill_worker, [(i,) for i in range(4)], 2))
+
+
+def wait_long(x):
+    time.sleep(60 * x)
+
+
+def test_an_abandoned_pool_ends_its_workers():
+    start = time.monotonic()
+    results = map_jobs(wait_long, [(0,), (1,), (1,)], 2)
+    next(results)
+    results.close()
+    assert time.monotonic() - start < 30
 
 
 def test_no_jobs_give_no_results():

@@ -91,7 +91,9 @@ def test_latency_is_measured_for_every_method_at_the_papers_size(finished):
 
 def test_films_play_back(tmp_path):
     ramp = np.linspace(0, 255, 64, dtype=np.uint8)
-    frames = [np.stack([np.tile(ramp, (48, 1)), np.full((48, 64), 10 * i, np.uint8)] * 2, -1)[..., :3] for i in range(9)]
+    frames = [
+        np.stack([np.tile(ramp, (48, 1)), np.full((48, 64), 10 * i, np.uint8)] * 2, -1)[..., :3] for i in range(9)
+    ]
     write_video(tmp_path / "film.webm", frames, 20)
     capture = cv2.VideoCapture(str(tmp_path / "film.webm"))
     decoded = []
