@@ -8,6 +8,7 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 setup: $(BIN)/.installed
 
 $(BIN)/.installed: pyproject.toml
+	$(if $(PYTHON),,$(error no Python found; Python 3.10 or 3.11 is needed, set PYTHON=))
 	$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 11) and "Python 3.10 or 3.11 is needed (pybullet); set PYTHON=")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip

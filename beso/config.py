@@ -4,6 +4,7 @@ Every mistake becomes one line with the key, the value and what is allowed.
 """
 
 import dataclasses
+import math
 import types
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -60,7 +61,7 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         return {str(key): _convert(arguments[1], item, f"{where}.{key}") for key, item in value.items()}
     if origin is Literal and value in arguments:
         return value
-    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
         return float(value)
     if hint is int and isinstance(value, int) and not isinstance(value, bool):
         return value
@@ -79,7 +80,7 @@ def _describe(hint: Any) -> str:
         return f"a list, each item {_describe(arguments[0])}"
     if origin is Literal:
         return "one of " + ", ".join(str(a) for a in arguments)
-    return {int: "an integer", float: "a number", bool: "true or false", str: "text"}[hint]
+    return {int: "an integer", float: "a finite number", bool: "true or false", str: "text"}[hint]
 
 
 def require(condition: bool, message: str) -> None:

@@ -32,7 +32,10 @@ class EvaluationConfig:
         require(self.seed >= 0, f"seed = {self.seed}: must not be negative")
         require(self.rollouts >= 1, f"rollouts = {self.rollouts}: must be at least 1")
         require(self.chunk >= 1, f"chunk = {self.chunk}: must be at least 1")
-        require(len(self.goals) >= 1, "goals = []: must name at least one goal set")
+        require(
+            self.goals in (("training",), ("training", "held_out")),
+            f"goals = {list(self.goals)}: must be [training] or [training, held_out]",
+        )
         require(self.max_actions is None or self.max_actions >= 1, f"max_actions = {self.max_actions}: must be above 0")
 
 

@@ -88,7 +88,7 @@ def evaluate_chunk(
 
     # Starts and goals
     numbers = range(chunk.first, chunk.last)
-    environments = list(_environments(environment, len(numbers)))
+    environments = _environments(environment, len(numbers))
     if film:
         environments[0] = _filming_environment(environment)
     start_role, noise_role = f"start, {chunk.goals} goals", f"policy noise, {chunk.goals} goals"
@@ -146,10 +146,16 @@ def evaluate_chunk(
     return rows
 
 
-@functools.cache
-def _environments(name: str, count: int) -> tuple[Any, ...]:
+def _environments(name: str, count: int) -> list[Any]:
     """Environments of this process, made once: an episode depends on its reset alone."""
-    return tuple(envs.load(name).make() for _ in range(count))
+    made = _made_environments(name)
+    made += [envs.load(name).make() for _ in range(count - len(made))]
+    return made[:count]
+
+
+@functools.cache
+def _made_environments(name: str) -> list[Any]:
+    return []
 
 
 @functools.cache

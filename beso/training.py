@@ -7,6 +7,7 @@ run that is killed continues from it and ends with the same bytes as an undistur
 import copy
 import json
 import logging
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 import safetensors.torch
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 from tqdm import trange
 
@@ -24,6 +25,7 @@ from beso.data.play import PlayDataset, split_episodes
 from beso.data.scaling import Scaling
 from beso.data.spec import PlaySpec
 from beso.data.windows import Batch, Windows
+from beso.errors import UserError
 from beso.files import replacing
 from beso.noise import BatchNoise
 from beso.seeding import generator, torch_generator
@@ -45,6 +47,8 @@ def pick_device(name: str) -> torch.device:
     """ "auto" means the first GPU if there is one."""
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
+    if name == "cuda" and not torch.cuda.is_available():
+        raise UserError("device = cuda: this PyTorch finds no GPU; auto or cpu are possible")
     return torch.device(name)
 
 
@@ -118,6 +122,8 @@ def train(
             measured = _validate(averaged, held_out_batch, torch_generator(*validation_seed, device=device))
             curve.append({"step": done, "training_loss": loss_sum.item() / since, **measured, "learning_rate": rate})
             loss_sum.zero_()
+            if not math.isfinite(curve[-1]["training_loss"]):
+                raise UserError(f"{name}: the training loss is not finite after {done} steps; lower learning_rate")
             now = time.monotonic()
             speed = (done - logged_step) / (now - logged_at)
             logged_at, logged_step = now, done
@@ -180,7 +186,12 @@ class _LoopState:
     def load(self, path: Path) -> tuple[int, list[dict[str, float]]]:
         if not path.exists():
             return 0, []
-        with safe_open(path, "pt") as file, torch.no_grad():
+        try:
+            opened = safe_open(path, "pt")
+        except SafetensorError:
+            log.warning("%s is damaged; starting again", path)
+            return 0, []
+        with opened as file, torch.no_grad():
             for key, value in self.tensors.items():
                 value.copy_(file.get_tensor(key))
             for name, (parameter, state) in self.parameters.items():

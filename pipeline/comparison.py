@@ -8,12 +8,11 @@ import pandas as pd
 from beso.data import play
 from beso.data.spec import spec
 from beso.errors import UserError
-from pipeline import paths
+from pipeline import names, paths
 from pipeline.params import Params
-from pipeline.statistics import over_seeds
+from pipeline.statistics import Estimate, over_seeds
 
 PAPER = Path(__file__).with_name("paper.csv")
-METRICS = ("reward", "result")
 SMALL = 0.05  # of the largest possible value: differences beyond this matter
 
 
@@ -43,48 +42,55 @@ def compare(params: Params) -> pd.DataFrame:
     """One row for each environment, metric, method and goal set of the grid.
 
     The paper's numbers stand beside results over training goals, which are its protocol; rows over held-out goals have
-    none. The standard error of the difference joins ours over seeds (over episodes if there is one seed) and the
-    paper's std / sqrt(seeds).
+    none. The standard error of the difference joins ours (pipeline.statistics) and the paper's std / sqrt(seeds); the
+    paper's std also stands for the spread between seeds where we have one seed.
     """
     paper = paper_numbers().set_index(["environment", "metric", "method"])
     rows = []
     for environment in params.grid.envs:
         data = source(play.load(paths.play(environment), spec(environment)))
-        for metric in METRICS:
+        for metric in names.METRICS:
             for method in params.grid.methods:
                 episodes = read_episodes(environment, method)
+                theirs = paper.loc[(environment, metric, method)]
                 for goals in params.evaluation.goals:
                     part = episodes[episodes["goals"] == goals]
-                    mean, std, error = over_seeds(part, metric)
+                    ours = over_seeds(part, metric, deviation_of_one=theirs["std"])
                     row = {
-                        **{"environment": environment, "metric": metric, "method": method, "goals": goals},
-                        **{"ours": mean, "ours_std": std, "ours_standard_error": error},
-                        **{"seeds": part["seed"].nunique(), "episodes": len(part)},
-                        **{"profile": params.profile, "data": data},
+                        "environment": environment,
+                        "metric": metric,
+                        "method": method,
+                        "goals": goals,
+                        "ours": ours.mean,
+                        "ours_std": ours.deviation,
+                        "ours_standard_error": ours.error,
+                        "seeds": part["seed"].nunique(),
+                        "episodes": len(part),
+                        "profile": params.profile,
+                        "data": data,
                     }
-                    if goals == "training":
-                        row |= _beside(mean, error, paper.loc[(environment, metric, method)])
-                    rows.append(row)
+                    rows.append(row | (_beside(ours, theirs) if goals == "training" else {}))
     return pd.DataFrame(rows)
 
 
-def _beside(mean: float, error: float, paper: pd.Series) -> dict[str, float | str]:
-    difference = mean - paper["mean"]
-    joint = math.hypot(error, paper["std"] / math.sqrt(paper["seeds"]))
+def _beside(ours: Estimate, theirs: pd.Series) -> dict[str, float | str]:
+    difference = ours.mean - theirs["mean"]
+    error = math.hypot(ours.error, theirs["std"] / math.sqrt(theirs["seeds"]))
     return {
-        "paper_table": paper["table"],
-        "paper": paper["mean"],
-        "paper_std": paper["std"],
+        "paper_table": theirs["table"],
+        "paper": theirs["mean"],
+        "paper_std": theirs["std"],
         "difference": difference,
-        "standard_error": joint,
-        "verdict": verdict(difference, joint, paper["maximum"]),
+        "standard_error": error,
+        "verdict": verdict(difference, ours.factor * error, theirs["maximum"]),
     }
 
 
-def verdict(difference: float, standard_error: float, maximum: float) -> str:
-    """ "better" or "worse" beyond two standard errors; within them "same" if they are small, else "cannot tell"."""
-    if math.isnan(standard_error):
-        return "cannot tell"
-    if abs(difference) > 2 * standard_error:
+def verdict(difference: float, half_width: float, maximum: float) -> str:
+    """In one word, or two, what a difference with a 95 % interval of +- half_width says.
+
+    "better" or "worse" outside of the interval; within it "same" if the interval is narrow, else "cannot tell".
+    """
+    if abs(difference) > half_width:
         return "better" if difference > 0 else "worse"
-    return "same" if 2 * standard_error <= SMALL * maximum else "cannot tell"
+    return "same" if half_width <= SMALL * maximum else "cannot tell"

@@ -21,7 +21,7 @@ FULL_STEP = 0.03  # m; the speed limit of most of the demonstrator's phases
 
 
 def statistics(dataset: PlayDataset, spec: PlaySpec) -> dict[str, float]:
-    """Size, lengths and action statistics of a dataset; for block push also the share of full steps."""
+    """Size, lengths and action statistics of a block-push dataset."""
     sizes = np.linalg.norm(dataset.actions, axis=1)
     complete = [len(dataset.completed(i)) == spec.demonstration_tasks for i in range(len(dataset))]
     return {

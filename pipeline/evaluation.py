@@ -10,25 +10,23 @@ from beso.evaluation import Chunk, EvaluationConfig, chunks
 from beso.files import replacing, write_json, write_text
 from beso.rollout import evaluate_chunk
 from beso.training_config import TrainingJob
-from pipeline import paths
+from pipeline import names, paths
 from pipeline.params import Params
 from pipeline.pool import map_jobs
 from pipeline.statistics import over_seeds
 from pipeline.video import FRAMES_PER_SECOND, write_video
 
 COLUMNS = [
-    *(
-        "seed",
-        "goals",
-        "episode",
-        "goal_demonstration",
-        "goal_tasks",
-        "tasks",
-        "reward",
-        "result",
-        "length",
-        "goal_distance",
-    ),
+    "seed",
+    "goals",
+    "episode",
+    "goal_demonstration",
+    "goal_tasks",
+    "tasks",
+    "reward",
+    "result",
+    "length",
+    "goal_distance",
 ]
 
 
@@ -74,11 +72,14 @@ def _play(
 def _metrics(rows: pd.DataFrame) -> dict[str, dict[str, float]]:
     """Mean and standard deviation over seeds of reward and result, by goal set; mean length and distance."""
     metrics: dict[str, dict[str, float]] = {}
+    several = rows["seed"].nunique() > 1
     for goals, part in rows.groupby("goals", sort=False):
         values = metrics.setdefault(f"{goals}_goals", {})
-        for name in ("reward", "result"):
-            mean, std, _ = over_seeds(part, name)
-            values |= {name: round(mean, 4), f"{name}_std": round(std, 4)}
+        for name in names.METRICS:
+            estimate = over_seeds(part, name)
+            values[name] = round(estimate.mean, 4)
+            if several:
+                values[f"{name}_std"] = round(estimate.deviation, 4)
         values["length"] = round(float(part["length"].mean()), 1)
         values["goal_distance"] = round(float(part["goal_distance"].mean()), 4)
     return metrics

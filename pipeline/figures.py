@@ -1,5 +1,6 @@
 """Figures of the report, as PDF and PNG with reproducible bytes."""
 
+import itertools
 from pathlib import Path
 
 import matplotlib
@@ -42,7 +43,7 @@ def scores(params: Params, comparison: pd.DataFrame) -> Figure:
         bars.append(("held_out", "ours", "ours_std", "ours, held-out goals", COLOURS["held_out"]))
     bars.append(("training", "paper", "paper_std", "paper", COLOURS["paper"]))
     places, width = np.arange(len(params.grid.methods)), 0.8 / len(bars)
-    for axis, metric in zip(axes, ("reward", "result"), strict=True):
+    for axis, metric in zip(axes, names.METRICS, strict=True):
         for i, (goals, value, std, label, colour) in enumerate(bars):
             part = comparison[(comparison["metric"] == metric) & (comparison["goals"] == goals)].set_index("method")
             part = part.reindex(params.grid.methods)
@@ -59,11 +60,11 @@ def training_curves(params: Params, environment: str) -> Figure:
     """Held-out error of the last action against training steps, a line a seed."""
     figure = Figure(figsize=(3.5, 2.4), layout="constrained")
     axis = figure.subplots()
-    for method, colour in zip(params.grid.methods, METHOD_COLOURS, strict=False):
+    for method, colour in zip(params.grid.methods, itertools.cycle(METHOD_COLOURS)):
         curves = pd.read_csv(paths.curve(environment, method))
-        for i, (_, curve) in enumerate(curves.groupby("seed")):
+        for i, seed in enumerate(params.seeds):
             label = names.METHODS[method] if i == 0 else None
-            axis.plot(curve["step"], curve["validation_error"], color=colour, linewidth=1, label=label)
+            axis.plot(curves["step"], curves[f"validation_error_seed{seed}"], color=colour, linewidth=1, label=label)
     axis.set(xlabel="training step", ylabel="held-out action error\n(squared, scaled units)", yscale="log")
     axis.legend(frameon=False)
     return figure

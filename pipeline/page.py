@@ -31,7 +31,7 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
     """The page's HTML.
 
     Args:
-        values: from pipeline.tables.context.
+        values: from pipeline.report.gather.
         latency: from pipeline.latency.measure.
     """
     environment = jinja2.Environment(
@@ -50,8 +50,11 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
         ]
     return environment.get_template("report.html.j2").render(
         **values,
-        **{"figures": figures, "films": _films(params), "latency": latency},
-        **{"params_text": PATH.read_text(encoding="utf-8"), "versions": versions()},
+        figures=figures,
+        films=_films(params),
+        latency=latency,
+        params_text=PATH.read_text(encoding="utf-8"),
+        versions=versions(),
     )
 
 

@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +24,7 @@ PATH = Path("params.yaml")
 
 @dataclass(frozen=True)
 class Machine:
-    """What the machine offers; no result depends on it and no stage reruns for it."""
+    """What the machine offers. No stage reruns for it; of results, only rounding and draws depend on `device`."""
 
     workers: int
     device: Literal["auto", "cpu", "cuda"]
@@ -40,6 +41,11 @@ class Grid:
 
     envs: tuple[str, ...]
     methods: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("envs", "methods"):
+            values = getattr(self, name)
+            require(len(set(values)) == len(values) > 0, f"{name} = {list(values)}: must be different, at least one")
 
 
 @dataclass(frozen=True)
@@ -101,6 +107,10 @@ class Params:
     methods: dict[str, MethodParams]
 
     def __post_init__(self) -> None:
+        require(
+            re.fullmatch("[a-z0-9-]+", self.profile) is not None,
+            f"profile = {self.profile!r}: must be made of lower-case letters, digits and hyphens",
+        )
         require(self.seed >= 0, f"seed = {self.seed}: must not be negative")
         require(
             len(set(self.seeds)) == len(self.seeds) > 0 and min(self.seeds) >= 0,
@@ -108,10 +118,10 @@ class Params:
         )
 
     def job(self, environment: str, method: str, seed: int) -> TrainingJob:
-        """The training run of one model."""
+        """The training run of one model. Raises UserError for a cell that params.yaml does not have."""
         return TrainingJob(
             method=method,
-            config=self.methods[method].train[environment],
+            config=self._cell(environment, method).train[environment],
             validation=self.training.validation,
             train_fraction=self.training.train_fraction,
             root_seed=self.seed,
@@ -119,8 +129,17 @@ class Params:
         )
 
     def sampling(self, environment: str, method: str) -> Any:
-        """How one method generates actions in one environment."""
-        return self.methods[method].sample[environment]
+        """How one method generates actions in one environment. Raises UserError as `job` does."""
+        return self._cell(environment, method).sample[environment]
+
+    def _cell(self, environment: str, method: str) -> MethodParams:
+        spec(environment)
+        if method not in self.methods:
+            raise UserError(f"method {method!r} is not in {PATH}: {', '.join(self.methods)} are")
+        block = self.methods[method]
+        if environment not in block.train or environment not in block.sample:
+            raise UserError(f"{PATH}.methods.{method} has no environment {environment!r}")
+        return block
 
 
 def read_yaml(path: Path) -> Any:

@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -17,6 +18,7 @@ import torch
 from tqdm import tqdm
 
 from beso.errors import UserError
+from pipeline.stage import log_to_stderr
 
 Result = TypeVar("Result")
 
@@ -69,7 +71,17 @@ def map_jobs(
                 raise
 
 
+def _end_with_parent() -> None:
+    """A worker whose parent was killed must not go on writing beside the next run's."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
 def _start_worker() -> None:
     """One thread a worker: two threads on two busy cores run many times slower than one each."""
     torch.set_num_threads(1)
+    log_to_stderr()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle; it ends the pool

@@ -32,7 +32,7 @@ def render(name: str) -> str:
     yaml.width = 120
     values = yaml.load((FOLDER / f"{COMPLETE}.yaml").read_text(encoding="utf-8"))
     if name != COMPLETE:
-        changes = params.read_yaml(FOLDER / f"{name}.yaml")
+        changes = params.read_yaml(FOLDER / f"{name}.yaml") or {}
         _merge(values, changes, f"profiles/{name}.yaml")
     text = io.StringIO()
     yaml.dump(values, text)
@@ -61,7 +61,10 @@ def _merge(values: Any, changes: Any, where: str) -> None:
 
 def main(name: str) -> None:
     text = render(name)
-    before = dict(leaves(params.read_yaml(params.PATH))) if params.PATH.exists() else {}
+    try:
+        before = dict(leaves(params.read_yaml(params.PATH)))
+    except UserError:  # there is none yet, or it is what the user wants to replace
+        before = {}
     write_text(params.PATH, text)
     after = dict(leaves(params.read_yaml(params.PATH)))
     for key in sorted(before.keys() | after.keys()):

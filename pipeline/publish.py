@@ -4,7 +4,9 @@ The folder holds what the numbers came from: parameters, versions, models, train
 comparison, tables and figures.
 """
 
+import json
 import shutil
+import subprocess
 from pathlib import Path
 
 from beso.errors import UserError
@@ -19,6 +21,7 @@ FOLDER = paths.REPORTS / "published"
 
 def main() -> None:
     configuration = params.load()
+    _check()
     folder = FOLDER / configuration.profile
     with replacing(folder) as temporary:
         for path in _contents(configuration):
@@ -32,6 +35,17 @@ def main() -> None:
                 shutil.copyfile(path, target)
         write_json(temporary / "environment.json", versions())
     print(f"archived in {folder}")
+
+
+def _check() -> None:
+    """What lies on disk must come from these parameters.
+
+    Raises:
+        UserError: `dvc repro` would still run something.
+    """
+    status = subprocess.run(["dvc", "status", "--json"], capture_output=True, text=True, check=True).stdout
+    if stages := json.loads(status):
+        raise UserError(f"{', '.join(stages)} out of date: run `dvc repro` first, then publish")
 
 
 def _contents(configuration: Params) -> list[Path]:

@@ -16,8 +16,11 @@ def gather(params: Params) -> dict[str, Any]:
     datasets = {environment: play.load(paths.play(environment), spec(environment)) for environment in params.grid.envs}
     comparison = compare(params)
     return {
-        **{"params": params, "names": names, "number": number},
-        **{"comparison": comparison, "rows": main_rows(params, comparison)},
+        "params": params,
+        "names": names,
+        "number": number,
+        "comparison": comparison,
+        "rows": main_rows(params, comparison),
         "data": {name: beside_published(dataset, spec(name)) for name, dataset in datasets.items()},
         "sources": {name: source(dataset) for name, dataset in datasets.items()},
     }

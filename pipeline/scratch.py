@@ -11,16 +11,18 @@ import os
 from pathlib import Path
 from typing import Any
 
+import torch
+
 import beso
 from pipeline import paths
 
 
 def folder(*parts: Any) -> Path:
-    """The scratch folder for work that depends on `parts` (JSON values) and on the library's code.
+    """The scratch folder for work that depends on `parts` (JSON values), on torch and on the library's code.
 
     The environment variable BESO_SCRATCH names another place than `.scratch`.
     """
-    text = json.dumps([*parts, _code_digest()], sort_keys=True)
+    text = json.dumps([*parts, torch.__version__, _code_digest()], sort_keys=True)
     name = hashlib.sha256(text.encode()).hexdigest()[:16]
     return Path(os.environ.get("BESO_SCRATCH", paths.SCRATCH)).absolute() / name
 

@@ -8,6 +8,14 @@ from collections.abc import Callable
 
 from beso.errors import UserError
 
+# Errors of the operating system that a user can mend.
+USERS = (errno.ENOENT, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)
+
+
+def log_to_stderr() -> None:
+    """Log lines with the time of day; worker processes need this too."""
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+
 
 def run(main: Callable[..., None], *arguments: str) -> None:
     """Call `main` with the command line's arguments, as strings. Exit 1 after a user's mistake, 130 after Ctrl-C.
@@ -15,18 +23,18 @@ def run(main: Callable[..., None], *arguments: str) -> None:
     Args:
         arguments: names of the positional arguments, for the usage line.
     """
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    log_to_stderr()
     given = sys.argv[1:]
     if len(given) != len(arguments):
         _fail("usage: " + " ".join([os.path.basename(sys.argv[0]), *(name.upper() for name in arguments)]), 2)
     try:
         main(*given)
     except KeyboardInterrupt:
-        _fail("interrupted; finished work is kept, run the same command again to continue", 130)
+        _fail("interrupted; run the same command again: unfinished training continues, other stages start anew", 130)
     except UserError as error:
         _fail(f"error: {error}", 1)
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS):
+        if error.errno not in USERS:
             raise
         where = f": {error.filename}" if error.filename else ""
         _fail(f"error: {os.strerror(error.errno)}{where}; nothing was replaced", 1)

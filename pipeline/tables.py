@@ -35,7 +35,7 @@ def main_rows(params: Params, comparison: pd.DataFrame) -> list[dict[str, Any]]:
     """Rows of the main table: environment, metric, whose numbers, and a cell `mean (+- std)` a method."""
     rows = []
     for environment in params.grid.envs:
-        for metric in ("reward", "result"):
+        for metric in names.METRICS:
             part = comparison[(comparison["environment"] == environment) & (comparison["metric"] == metric)]
             for whose in [*params.evaluation.goals, "paper"]:
                 cells = []
@@ -47,8 +47,10 @@ def main_rows(params: Params, comparison: pd.DataFrame) -> list[dict[str, Any]]:
                     cells.append(tuple(row[list(columns)].iloc[0]) if len(row) else (math.nan, math.nan))
                 rows.append(
                     {
-                        **{"environment": names.ENVIRONMENTS[environment], "metric": names.METRICS[metric]},
-                        **{"whose": "paper" if whose == "paper" else f"ours, {names.GOALS[whose]}", "cells": cells},
+                        "environment": names.ENVIRONMENTS[environment],
+                        "metric": names.METRICS[metric],
+                        "whose": "paper" if whose == "paper" else f"ours, {names.GOALS[whose]}",
+                        "cells": cells,
                     }
                 )
     return rows

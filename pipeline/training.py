@@ -9,7 +9,6 @@ import pandas as pd
 from beso import checkpoint
 from beso.data import play
 from beso.data.spec import spec
-from beso.errors import UserError
 from beso.files import replacing, write_text
 from beso.training import pick_device, train
 from beso.training_config import TrainingJob
@@ -23,12 +22,11 @@ def train_cell(params: Params, environment: str, method: str) -> None:
 
     Finished seeds and the state of unfinished ones wait in the scratch folder until all are done.
     """
-    if method not in params.methods:
-        raise UserError(f"method {method!r} is not in params.yaml: {', '.join(params.methods)} are")
+    jobs = [params.job(environment, method, seed) for seed in params.seeds]
     data = paths.play(environment)
     digest = play.data_digest(play.load(data, spec(environment)))
-    jobs = [params.job(environment, method, seed) for seed in params.seeds]
-    folders = [scratch.folder("train", environment, dataclasses.asdict(job), digest) for job in jobs]
+    device = pick_device(params.machine.device).type
+    folders = [scratch.folder("train", environment, dataclasses.asdict(job), digest, device) for job in jobs]
     arguments = [(job, environment, data, params.machine, f) for job, f in zip(jobs, folders, strict=True)]
     for _ in map_jobs(train_seed, arguments, params.machine.workers, f"train {environment} {method}"):
         pass
@@ -38,13 +36,18 @@ def train_cell(params: Params, environment: str, method: str) -> None:
         for finished in folders:
             for path in finished.glob("seed*"):
                 shutil.copyfile(path, models / path.name)
-    rows = []
-    for job in jobs:
-        curve = checkpoint.load_description(paths.models(environment, method), job.seed)["curve"]
-        rows += [{"seed": job.seed, **row} for row in curve]
-    write_text(paths.curve(environment, method), pd.DataFrame(rows).to_csv(index=False))
+    write_text(paths.curve(environment, method), _curves(paths.models(environment, method), jobs).to_csv())
     for finished in folders:
         shutil.rmtree(finished)
+
+
+def _curves(models: Path, jobs: list[TrainingJob]) -> pd.DataFrame:
+    """By step: means over seeds, as `dvc plots` draws them, and each seed's held-out action error."""
+    seeds = {job.seed: pd.DataFrame(checkpoint.load_description(models, job.seed)["curve"]) for job in jobs}
+    table = pd.concat(seeds.values()).groupby("step").mean()
+    for seed, curve in seeds.items():
+        table[f"validation_error_seed{seed}"] = curve.set_index("step")["validation_error"]
+    return table
 
 
 def train_seed(job: TrainingJob, environment: str, data: Path, machine: Machine, folder: Path) -> None:

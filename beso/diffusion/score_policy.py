@@ -81,6 +81,7 @@ class SamplingConfig:
     def __post_init__(self) -> None:
         require(self.steps >= 1, f"steps = {self.steps}: must be at least 1")
         _check_range(self.sigma_min, self.sigma_max)
+        SCHEDULES[self.schedule](self.steps, self.sigma_min, self.sigma_max)  # some refuse too many steps
 
 
 def _check_range(sigma_min: float, sigma_max: float) -> None:

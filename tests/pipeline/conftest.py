@@ -21,7 +21,7 @@ class Workspace:
 
     @classmethod
     def fresh(cls, folder):
-        """What a stranger has after cloning, set to the smoke profile."""
+        """What a stranger has after cloning, set to the smoke profile, its dvc.lock of another profile gone."""
         listed = subprocess.run(
             ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
             cwd=ROOT,
@@ -52,7 +52,9 @@ class Workspace:
     def environment(self):
         # The commands must be this environment's, and the project this workspace's.
         path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-        return {**os.environ, "PATH": path, "PYTHONPATH": str(self.folder)}
+        environment = {**os.environ, "PATH": path, "PYTHONPATH": str(self.folder)}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # compiled files must not count as changes
+        return environment
 
     def run(self, *command, check=True, **keywords):
         done = subprocess.run(
@@ -123,6 +125,7 @@ class Workspace:
 def finished(tmp_path_factory):
     """The smoke profile after one `dvc repro`. Tests that change something take a copy."""
     workspace = Workspace.fresh(tmp_path_factory.mktemp("finished"))
+    workspace.set("machine.workers", 2)
     workspace.dvc("repro")
     workspace.commit()
     return workspace

@@ -103,5 +103,23 @@ def test_wrong_number_of_arguments(finished, arguments):
 
 
 def test_unknown_names(workspace):
-    assert "environment 'moon' is not one of block_push" in stage(workspace, "train", "moon", "gcbc")
-    assert "method 'sac' is not in params.yaml" in stage(workspace, "train", "block_push", "sac")
+    for name in ("train", "evaluate"):
+        assert "environment 'moon' is not one of block_push" in stage(workspace, name, "moon", "gcbc")
+        assert "method 'sac' is not in params.yaml" in stage(workspace, name, "block_push", "sac")
+    assert "environment 'moon' is not one of block_push" in stage(workspace, "collect", "moon")
+
+
+def test_results_of_other_parameters_are_not_published(workspace):
+    workspace.set("evaluation.seed", 7)
+    line = fails(workspace, sys.executable, "-m", "pipeline.publish")
+    assert "evaluate@block_push-gcbc" in line
+    assert "out of date: run `dvc repro` first" in line
+
+
+def test_publish_archives_the_run(workspace):
+    workspace.python("-m", "pipeline.publish")
+    archive = workspace.folder / "reports/published/smoke"
+    assert (archive / "params.yaml").read_bytes() == (workspace.folder / "params.yaml").read_bytes()
+    assert (archive / "comparison.csv").read_bytes() == (workspace.folder / "reports/comparison.csv").read_bytes()
+    assert (archive / "models/block_push/c_beso/seed2.safetensors").is_file()
+    assert (archive / "environment.json").is_file()

@@ -32,30 +32,32 @@ def test_paper_numbers_are_those_of_the_papers_table():
 
 
 def test_mean_and_deviation_are_over_seeds():
-    rows = pd.DataFrame({"seed": [1, 1, 2, 2, 3, 3], "result": [0.0, 1.0, 1.0, 1.0, 0.0, 0.0]})
-    mean, std, error = over_seeds(rows, "result")
-    assert mean == pytest.approx(0.5)
-    assert std == pytest.approx(0.5)  # of 0.5, 1, 0
-    assert error == pytest.approx(0.5 / math.sqrt(3))
+    rows = pd.DataFrame({"seed": [1] * 50 + [2] * 50 + [3] * 50, "result": [0.2] * 50 + [0.5] * 50 + [0.8] * 50})
+    estimate = over_seeds(rows, "result")
+    assert estimate.mean == pytest.approx(0.5)
+    assert estimate.deviation == pytest.approx(0.3)
+    assert estimate.error == pytest.approx(0.3 / math.sqrt(3))
+    assert estimate.factor == pytest.approx(4.303, abs=1e-3)  # Student's t, 2 degrees of freedom
 
 
-def test_a_single_seed_has_the_error_of_its_episodes():
-    rows = pd.DataFrame({"seed": [1] * 4, "result": [0.0, 1.0, 1.0, 0.0]})
-    mean, std, error = over_seeds(rows, "result")
-    assert (mean, std) == (0.5, 0.0)
-    assert error == pytest.approx(math.sqrt(1 / 3) / 2)
-    assert math.isnan(over_seeds(rows[:1], "result")[2])
+def test_seeds_that_agree_by_chance_keep_the_error_of_their_episodes():
+    rows = pd.DataFrame({"seed": [1, 1, 2, 2], "result": [0.0] * 4})
+    estimate = over_seeds(rows, "result")
+    assert (estimate.mean, estimate.deviation) == (0.0, 0.0)
+    assert estimate.error == pytest.approx(math.sqrt(5 / 36 / 6))  # variance 1/6 x 5/6 of five zeros and a one
+    assert verdict(-0.13, estimate.factor * estimate.error, 1.0) == "cannot tell"
+
+
+def test_one_seed_has_no_deviation_and_the_errors_of_episodes_and_of_another_source():
+    rows = pd.DataFrame({"seed": [1] * 98, "result": [0.0, 1.0] * 49})
+    estimate = over_seeds(rows, "result", deviation_of_one=0.03)
+    assert math.isnan(estimate.deviation)
+    assert estimate.error == pytest.approx(math.hypot(0.05, 0.03))
 
 
 @pytest.mark.parametrize(
-    ("difference", "error", "expected"),
-    [
-        (-0.3, 0.1, "worse"),
-        (0.3, 0.1, "better"),
-        (0.01, 0.02, "same"),
-        (0.01, 0.1, "cannot tell"),
-        (0.5, math.nan, "cannot tell"),
-    ],
+    ("difference", "half_width", "expected"),
+    [(-0.3, 0.2, "worse"), (0.3, 0.2, "better"), (0.01, 0.04, "same"), (0.01, 0.2, "cannot tell")],
 )
-def test_verdicts(difference, error, expected):
-    assert verdict(difference, error, maximum=1.0) == expected
+def test_verdicts(difference, half_width, expected):
+    assert verdict(difference, half_width, maximum=1.0) == expected

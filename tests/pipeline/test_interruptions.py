@@ -56,7 +56,7 @@ def test_ctrl_c_is_one_line_and_the_next_repro_continues(slow):
     os.killpg(process.pid, signal.SIGINT)
     output, _ = process.communicate(timeout=60)
     assert process.returncode != 0
-    assert output.count("interrupted; finished work is kept") == 1
+    assert output.count("interrupted; run the same command again") == 1
     assert "Traceback" not in output
     assert slow.files("data", "results", "reports") == before
     output = slow.dvc("repro", "train@block_push-c_beso").stdout

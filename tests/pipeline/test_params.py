@@ -1,5 +1,6 @@
 import copy
 import dataclasses
+import math
 
 import pytest
 from ruamel.yaml import YAML
@@ -46,6 +47,14 @@ def test_paper_profile_has_the_papers_numbers():
     assert paper.methods["cfg_beso"].train["block_push"].model.goal_dropout == 0.1
 
 
+IDDPM = {
+    "sampler": "ddim",
+    "schedule": "iddpm",
+    "steps": 2000,
+    "sigma_min": 0.05,
+    "sigma_max": 1.0,
+    "context": "clean",
+}
 MODEL = ("methods", "c_beso", "train", "block_push", "model", "transformer")
 OPTIMIZATION = ("methods", "gcbc", "train", "block_push", "optimization")
 
@@ -57,7 +66,7 @@ OPTIMIZATION = ("methods", "gcbc", "train", "block_push", "optimization")
         ((*MODEL, "heads"), 5, r"transformer: heads = 5: must divide width = 16"),
         ((*MODEL, "width"), "wide", r"transformer\.width = 'wide': expected an integer"),
         ((*MODEL, "width"), 16.0, r"transformer\.width = 16\.0: expected an integer"),
-        ((*OPTIMIZATION, "learning_rate"), "1e-3", r"learning_rate = '1e-3': expected a number"),
+        ((*OPTIMIZATION, "learning_rate"), "1e-3", r"learning_rate = '1e-3': expected a finite number"),
         ((*OPTIMIZATION, "optimizer"), "sgd", r"optimizer = 'sgd': expected one of adam, adamw, muon"),
         ((*OPTIMIZATION, "steps"), True, r"steps = True: expected an integer"),
         (("evaluation", "rollouts"), 0, r"evaluation: rollouts = 0: must be at least 1"),
@@ -66,6 +75,11 @@ OPTIMIZATION = ("methods", "gcbc", "train", "block_push", "optimization")
         (("grid", "envs"), ["moon"], r"environment 'moon' is not one of block_push"),
         (("collect", "block_push", "source"), "published", r"folder = null: source published needs a folder"),
         (("colour",), "red", r"colour = 'red': unknown key"),
+        (("profile",), "../x", r"profile = '\.\./x': must be made of"),
+        (("evaluation", "goals"), ["held_out"], r"goals = \['held_out'\]: must be \[training\]"),
+        (("grid", "methods"), [], r"methods = \[\]: must be different, at least one"),
+        ((*OPTIMIZATION, "learning_rate"), math.nan, r"learning_rate = nan: expected a finite number"),
+        (("methods", "c_beso", "sample", "block_push"), IDDPM, r"steps = 2000: iddpm has 471 levels"),
     ],
 )
 def test_a_mistake_is_one_line_with_key_value_and_what_is_allowed(values, path, value, message):
