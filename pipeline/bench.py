@@ -1,6 +1,7 @@
 """`python -m pipeline.bench` measures speed and memory at the paper's sizes, beside what the machine can do.
 
-It takes about three minutes and needs `dvc repro collect`; close other programs first. Times are medians with quartiles in brackets.
+It takes about three minutes and needs `dvc repro collect`; close other programs first. Times are medians with
+quartiles in brackets.
 """
 
 import multiprocessing
