@@ -1,5 +1,6 @@
 """Figures of the report, as PDF and PNG with reproducible bytes."""
 
+import io
 import itertools
 from pathlib import Path
 
@@ -20,8 +21,11 @@ STYLE = {"font.size": 8, "axes.spines.top": False, "axes.spines.right": False, "
 
 def save(figure: Figure, folder: Path, name: str) -> None:
     """Write one figure as PDF and PNG without dates or version strings."""
-    figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None, "Producer": None, "Creator": None})
-    figure.savefig(folder / f"{name}.png", metadata={"Software": None})
+    without = {"pdf": ("CreationDate", "Producer", "Creator"), "png": ("Software",)}
+    for kind, keys in without.items():
+        drawn = io.BytesIO()  # matplotlib hides a full disk behind errors of its own
+        figure.savefig(drawn, format=kind, metadata=dict.fromkeys(keys))
+        (folder / f"{name}.{kind}").write_bytes(drawn.getvalue())
 
 
 def draw_all(params: Params, comparison: pd.DataFrame, folder: Path) -> None:

@@ -13,8 +13,9 @@ USERS = (errno.ENOENT, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, er
 
 
 def log_to_stderr() -> None:
-    """Log lines with the time of day; worker processes need this too."""
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    """The library's log lines with the time of day, and others' warnings; worker processes need this too."""
+    logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    logging.getLogger("beso").setLevel(logging.INFO)
 
 
 def run(main: Callable[..., None], *arguments: str) -> None:
