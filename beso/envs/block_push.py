@@ -237,8 +237,8 @@ class BlockPushEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if self.render_mode is None:
             return None
         height, width = self.render_size
-        view = self._client.computeViewMatrix([1.05, 0, 0.75], [0.38, 0, 0.0], [0, 0, 1])
-        projection = self._client.computeProjectionMatrixFOV(60, width / height, 0.05, 3)
+        view = self._client.computeViewMatrix([1.0, 0, 0.65], [0.36, 0, 0.0], [0, 0, 1])
+        projection = self._client.computeProjectionMatrixFOV(45, width / height, 0.05, 3)
         pixels = self._client.getCameraImage(width, height, view, projection, renderer=pybullet.ER_TINY_RENDERER)[2]
         return np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[:, :, :3]
 
