@@ -75,7 +75,7 @@ def test_unknown_keys_are_refused_with_the_allowed_ones():
 def test_missing_keys_are_refused_with_what_is_expected():
     refused("p.count is missing: expected an integer", without=["count"])
     refused("p.limit is missing: expected an integer or null", without=["limit"])
-    refused("p.numbers is missing: expected a list, each item a number", without=["numbers"])
+    refused("p.numbers is missing: expected a list, each item a finite number", without=["numbers"])
     refused("p.table is missing: expected a mapping", without=["table"])
     refused("p.inner.kind is missing: expected one of a, b", {"inner": {"rate": 0.5}})
 
@@ -94,8 +94,8 @@ def test_missing_keys_are_refused_with_what_is_expected():
         ("limit", False, "an integer"),
         ("inner", 5, "a mapping"),
         ("inner", [0.5, "a"], "a mapping"),
-        ("numbers", 1.0, "a list, each item a number"),
-        ("numbers", "12", "a list, each item a number"),
+        ("numbers", 1.0, "a list, each item a finite number"),
+        ("numbers", "12", "a list, each item a finite number"),
         ("table", [1], "a mapping"),
     ],
 )
@@ -106,11 +106,11 @@ def test_wrong_types_are_refused_with_key_value_and_what_is_expected(key, value,
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"inner": {"rate": "1e-4", "kind": "a"}}, "p.inner.rate = '1e-4': expected a number"),
-        ({"inner": {"rate": True, "kind": "a"}}, "p.inner.rate = True: expected a number"),
+        ({"inner": {"rate": "1e-4", "kind": "a"}}, "p.inner.rate = '1e-4': expected a finite number"),
+        ({"inner": {"rate": True, "kind": "a"}}, "p.inner.rate = True: expected a finite number"),
         ({"inner": {"rate": 0.5, "kind": "c"}}, "p.inner.kind = 'c': expected one of a, b"),
         ({"inner": {"rate": 0.5, "kind": None}}, "p.inner.kind = None: expected one of a, b"),
-        ({"numbers": [1, "x"]}, "p.numbers[1] = 'x': expected a number"),
+        ({"numbers": [1, "x"]}, "p.numbers[1] = 'x': expected a finite number"),
         ({"table": {"k": {"rate": 0.5, "kind": "c"}}}, "p.table.k.kind = 'c': expected one of a, b"),
     ],
 )
