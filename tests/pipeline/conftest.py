@@ -57,14 +57,16 @@ class Workspace:
         environment.pop("PYTHONDONTWRITEBYTECODE", None)  # compiled files must not count as changes
         return environment
 
+    @property
+    def settings(self):
+        """Where and how every command runs; its output comes as one text."""
+        streams = {"text": True, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        return {"cwd": self.folder, "env": self.environment, **streams}
+
     def run(self, *command, check=True, **keywords):
         done = subprocess.run(
             command,
-            cwd=self.folder,
-            env=self.environment,
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
+            **self.settings,
             **keywords,
         )
         if check:
@@ -75,11 +77,7 @@ class Workspace:
         """A command in a process group of its own, as a terminal starts it."""
         return subprocess.Popen(
             command,
-            cwd=self.folder,
-            env=self.environment,
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
+            **self.settings,
             start_new_session=True,
             # Where the tests themselves run in the background, Ctrl-C is ignored and children inherit that.
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
