@@ -1,22 +1,30 @@
 """Small parts shared by the networks."""
 
+import math
+
 import torch
 from torch import Tensor, nn
 
 
 class Dropout(nn.Module):
-    """Dropout that draws from a given generator and does nothing without one."""
+    """Dropout that draws from a given generator and does nothing without one.
+
+    Four decisions come from one 64-bit draw, which is several times faster on a CPU than a Bernoulli draw each; the rate
+    is rounded to a multiple of 2^-16.
+    """
 
     def __init__(self, rate: float) -> None:
         super().__init__()
-        self.rate = rate
+        self.rate = round(rate * 2**16) / 2**16
 
     def forward(self, x: Tensor, generator: torch.Generator | None) -> Tensor:
         """x of any shape."""
         if generator is None or self.rate == 0:
             return x
-        keep = torch.empty_like(x).bernoulli_(1 - self.rate, generator=generator)
-        return x * keep.div_(1 - self.rate)
+        draws = torch.empty(math.ceil(x.numel() / 4), dtype=torch.int64, device=x.device)
+        draws.random_(-(2**63), None, generator=generator)  # every 64-bit pattern
+        keep = draws.view(torch.int16)[: x.numel()].view_as(x) >= round(self.rate * 2**16) - 2**15
+        return x * keep.to(x.dtype).mul_(1 / (1 - self.rate))
 
 
 def initialise_normal(module: nn.Module, generator: torch.Generator, std: float = 0.02) -> None:

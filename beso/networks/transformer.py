@@ -62,30 +62,33 @@ class Attention(nn.Module):
         self.dropout = Dropout(config.attention_dropout)
         self.residual_dropout = Dropout(config.residual_dropout)
 
-    def forward(self, x: Tensor, last_only: bool, generator: torch.Generator | None) -> Tensor:
-        """(B, L, d) -> (B, L, d), or (B, 1, d) for the last position alone."""
-        batch, length, width = x.shape
-        weight, bias = self.query_key_value.weight, self.query_key_value.bias
-        if last_only:
-            query = functional.linear(x[:, -1:], weight[:width], bias[:width])
-            key, value = functional.linear(x, weight[width:], bias[width:]).split(width, dim=-1)
-        else:
-            query, key, value = self.query_key_value(x).split(width, dim=-1)
+    def forward(self, x: Tensor, mask: Tensor, last_only: bool, generator: torch.Generator | None) -> Tensor:
+        """x (B, L, d) and the causal mask (L, L) -> (B, L, d), or (B, 1, d) for the last position alone."""
+        batch, _, width = x.shape
+        size = width // self.heads
 
         def by_head(y: Tensor) -> Tensor:
-            return y.view(batch, -1, self.heads, width // self.heads).transpose(1, 2)
+            """(B, L, n d) -> (n, B heads, L, size)."""
+            split = y.view(batch, y.shape[1], -1, self.heads, size)
+            return split.permute(2, 0, 3, 1, 4).reshape(split.shape[2], batch * self.heads, -1, size)
 
-        query, key, value = by_head(query), by_head(key), by_head(value)
-        if generator is None or self.dropout.rate == 0:
-            y = functional.scaled_dot_product_attention(query, key, value, is_causal=not last_only)
+        if last_only:
+            weight, bias = self.query_key_value.weight, self.query_key_value.bias
+            query = by_head(functional.linear(x[:, -1:], weight[:width], bias[:width]))[0]
+            key, value = by_head(functional.linear(x, weight[width:], bias[width:]))
+            mask = mask[-1:]
         else:
-            # The fused kernel would draw its dropout from torch's global generator.
-            scores = query @ key.transpose(-2, -1) / math.sqrt(width // self.heads)
-            queries = query.shape[2]  # the last ones
-            future = torch.ones(queries, length, dtype=torch.bool, device=x.device).triu(1 + length - queries)
-            weights = scores.masked_fill(future, -math.inf).softmax(dim=-1)
+            query, key, value = by_head(self.query_key_value(x))
+        dropout = generator is not None and self.dropout.rate > 0
+        if x.device.type == "cpu" or dropout:
+            # Over a dozen tokens, plain products are faster than the CPU's fused kernel; and a fused kernel would draw
+            # its dropout from torch's global generator.
+            weights = torch.baddbmm(mask, query, key.mT, alpha=1 / math.sqrt(size)).softmax(dim=-1)
             y = self.dropout(weights, generator) @ value
-        return self.residual_dropout(self.output(y.transpose(1, 2).reshape(batch, -1, width)), generator)
+        else:
+            y = functional.scaled_dot_product_attention(query, key, value, is_causal=not last_only)
+        y = y.view(batch, self.heads, -1, size).transpose(1, 2).reshape(batch, -1, width)
+        return self.residual_dropout(self.output(y), generator)
 
 
 class Block(nn.Module):
@@ -108,15 +111,17 @@ class Block(nn.Module):
             for parameter in self.film[-1].parameters():
                 nn.init.zeros_(parameter)
 
-    def forward(self, x: Tensor, goal: Tensor, last_only: bool, generator: torch.Generator | None) -> Tensor:
-        """x (B, L, d), goal (B, G, O) -> (B, L, d), or (B, 1, d) for the last position alone."""
+    def forward(
+        self, x: Tensor, mask: Tensor, goal: Tensor, last_only: bool, generator: torch.Generator | None
+    ) -> Tensor:
+        """x (B, L, d), mask (L, L), goal (B, G, O) -> (B, L, d), or (B, 1, d) for the last position alone."""
         normed = self.attention_norm(x)
         if self.film is not None:
             gamma_1, beta_1, gamma_2, beta_2 = self.film(goal.flatten(1)).unsqueeze(1).chunk(4, dim=-1)
             normed = normed * (1 + gamma_1) + beta_1
         if last_only:
             x = x[:, -1:]
-        x = x + self.attention(normed, last_only, generator)
+        x = x + self.attention(normed, mask, last_only, generator)
         normed = self.mlp_norm(x)
         if self.film is not None:
             normed = normed * (1 + gamma_2) + beta_2
@@ -153,6 +158,8 @@ class ScoreTransformer(nn.Module):
         self.blocks = nn.ModuleList(blocks)
         self.norm = nn.LayerNorm(config.width)
         self.head = nn.Linear(config.width, action_size)
+        longest = 1 + self.goal_tokens + 2 * config.window
+        self.register_buffer("mask", torch.full((longest, longest), -math.inf).triu(1), persistent=False)
         initialise_normal(self, generator)
         for block in blocks:
             block.start_unconditional()
@@ -188,8 +195,9 @@ class ScoreTransformer(nn.Module):
         if goals:
             tokens.insert(1, self.embed_state(goal) + position[:, :goals])
         x = torch.cat(tokens, dim=1)
+        mask = self.mask[: x.shape[1], : x.shape[1]]
         for i, block in enumerate(self.blocks):
-            x = block(x, goal, last_only and i == len(self.blocks) - 1, generator)
+            x = block(x, mask, goal, last_only and i == len(self.blocks) - 1, generator)
         if not last_only:
             x = x[:, 2 + goals :: 2]  # the action tokens
         return self.head(self.norm(x))

@@ -165,20 +165,27 @@ def test_each_dropout_rate_acts_on_its_own(which):
         assert not torch.equal(dropped, network(*arguments))
 
 
-def test_attention_weights_agree_with_the_textbook_formula():
-    """One head, one block's attention, against softmax(q k / sqrt(d)) v with the future masked out."""
-    attention = make(heads=1).blocks[0].attention
+@pytest.mark.parametrize("heads", [1, 3])
+def test_attention_agrees_with_the_textbook_formula(heads):
+    """softmax(q k / sqrt(d)) v for each head, over what is not in the future."""
+    network = make(heads=heads)
+    attention, size = network.blocks[0].attention, 24 // heads
     x = torch.randn(2, 7, 24, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
         query, key, value = functional.linear(
             x, attention.query_key_value.weight, attention.query_key_value.bias
         ).chunk(3, dim=-1)
-        rows = []
-        for i in range(7):
-            weights = torch.softmax(query[:, i : i + 1] @ key[:, : i + 1].mT / math.sqrt(24), dim=-1)
-            rows.append(weights @ value[:, : i + 1])
-        expected = attention.output(torch.cat(rows, dim=1))
-        assert torch.allclose(attention(x, False, None), expected, atol=1e-4)
+        of_heads = []
+        for q, k, v in zip(query.split(size, -1), key.split(size, -1), value.split(size, -1), strict=True):
+            rows = []
+            for i in range(7):
+                weights = torch.softmax(q[:, i : i + 1] @ k[:, : i + 1].mT / math.sqrt(size), dim=-1)
+                rows.append(weights @ v[:, : i + 1])
+            of_heads.append(torch.cat(rows, dim=1))
+        expected = attention.output(torch.cat(of_heads, dim=-1))
+        mask = network.mask[:7, :7]
+        assert torch.allclose(attention(x, mask, False, None), expected, atol=1e-4)
+        assert torch.allclose(attention(x, mask, True, None), expected[:, -1:], atol=1e-4)
 
 
 # FiLM
