@@ -9,8 +9,8 @@ from torch import Tensor, nn
 class Dropout(nn.Module):
     """Dropout that draws from a given generator and does nothing without one.
 
-    Four decisions come from one 64-bit draw, which is several times faster on a CPU than a Bernoulli draw each; the rate
-    is rounded to a multiple of 2^-16.
+    Four decisions come from one 64-bit draw, which on a CPU is several times faster than a Bernoulli draw each; the
+    rate is rounded to a multiple of 2^-16.
     """
 
     def __init__(self, rate: float) -> None:

@@ -137,6 +137,8 @@ class ScoreTransformer(nn.Module):
         generator: initial weights are drawn from it.
     """
 
+    mask: Tensor  # (L, L): 0 on and below the diagonal, minus infinity in the future
+
     def __init__(
         self,
         config: TransformerConfig,
