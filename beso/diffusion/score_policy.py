@@ -10,6 +10,7 @@ Training noises all T actions at one level sigma a window and learns to denoise 
 noisy.
 """
 
+import functools
 from dataclasses import dataclass
 from typing import Literal
 
@@ -88,6 +89,12 @@ def _check_range(sigma_min: float, sigma_max: float) -> None:
     require(0 < sigma_min < sigma_max, f"sigma_min = {sigma_min}: must be above 0 and below sigma_max = {sigma_max}")
 
 
+@functools.lru_cache
+def _scales_of_one(sigma: float, sigma_data: float) -> list[float]:
+    """c_skip, c_out, c_in and c_noise of a noise level, computed once: a sampler meets few of them."""
+    return [value.item() for value in scales(torch.tensor(sigma), sigma_data)]
+
+
 def validation_sampling(diffusion: DiffusionConfig) -> SamplingConfig:
     """The paper's default sampler over the training range; validation errors are measured with it."""
     return SamplingConfig("ddim", "exponential", 3, diffusion.sigma_min, diffusion.sigma_max, "clean")
@@ -144,11 +151,11 @@ class ScorePolicy(nn.Module):
         self, actions: Tensor, sigma: float, observations: Tensor, goal: Tensor, last_only: bool = True
     ) -> Tensor:
         """D(a, s, g, sigma): (B, T, A) -> denoised actions (B, T, A), or (B, 1, A) for the last one."""
-        at = scales(actions.new_tensor(sigma), self.diffusion.sigma_data)
-        level = at.noise.expand(len(actions))
-        predicted = self.network(at.into * actions, level, observations, goal, last_only=last_only)
+        skip, out, into, noise = _scales_of_one(sigma, self.diffusion.sigma_data)
+        level = actions.new_full((len(actions),), noise)
+        predicted = self.network(into * actions, level, observations, goal, last_only=last_only)
         kept = actions[:, -1:] if last_only else actions
-        return at.skip * kept + at.out * predicted
+        return skip * kept + out * predicted
 
     def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise) -> Tensor:
         """Generate the next action.

@@ -6,25 +6,23 @@ import torch
 from torch import Tensor, nn
 
 
-class Dropout(nn.Module):
+def dropout(x: Tensor, rate: float, generator: torch.Generator | None) -> Tensor:
     """Dropout that draws from a given generator and does nothing without one.
 
     Four decisions come from one 64-bit draw, which on a CPU is several times faster than a Bernoulli draw each; the
     rate is rounded to a multiple of 2^-16.
+
+    Args:
+        x: of any shape.
+        rate: share of x that becomes 0.
     """
-
-    def __init__(self, rate: float) -> None:
-        super().__init__()
-        self.rate = round(rate * 2**16) / 2**16
-
-    def forward(self, x: Tensor, generator: torch.Generator | None) -> Tensor:
-        """x of any shape."""
-        if generator is None or self.rate == 0:
-            return x
-        draws = torch.empty(math.ceil(x.numel() / 4), dtype=torch.int64, device=x.device)
-        draws.random_(-(2**63), None, generator=generator)  # every 64-bit pattern
-        keep = draws.view(torch.int16)[: x.numel()].view_as(x) >= round(self.rate * 2**16) - 2**15
-        return x * keep.to(x.dtype).mul_(1 / (1 - self.rate))
+    if generator is None or rate == 0:
+        return x
+    dropped = round(rate * 2**16)
+    draws = torch.empty(math.ceil(x.numel() / 4), dtype=torch.int64, device=x.device)
+    draws.random_(-(2**63), None, generator=generator)  # every 64-bit pattern
+    keep = draws.view(torch.int16)[: x.numel()].view_as(x) >= dropped - 2**15
+    return x * keep.to(x.dtype).mul_(2**16 / (2**16 - dropped))
 
 
 def initialise_normal(module: nn.Module, generator: torch.Generator, std: float = 0.02) -> None:

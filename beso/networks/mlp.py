@@ -6,7 +6,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from beso.networks.layers import Dropout
+from beso.networks.layers import dropout
 
 
 class MLP(nn.Module):
@@ -18,13 +18,13 @@ class MLP(nn.Module):
     """
 
     def __init__(
-        self, inputs: int, outputs: int, width: int, layers: int, dropout: float, generator: torch.Generator
+        self, inputs: int, outputs: int, width: int, layers: int, dropout_rate: float, generator: torch.Generator
     ) -> None:
         super().__init__()
         sizes = [inputs] + [width] * layers
         self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
         self.output = nn.Linear(width, outputs)
-        self.dropout = Dropout(dropout)
+        self.dropout_rate = dropout_rate
         with torch.no_grad():
             for layer in [*self.hidden, self.output]:
                 bound = 1 / math.sqrt(layer.in_features)
@@ -34,5 +34,5 @@ class MLP(nn.Module):
     def forward(self, x: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """(..., inputs) -> (..., outputs). With a generator, dropout is on."""
         for layer in self.hidden:
-            x = self.dropout(torch.relu(layer(x)), generator)
+            x = dropout(torch.relu(layer(x)), self.dropout_rate, generator)
         return self.output(x)

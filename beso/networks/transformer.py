@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from beso.config import require
-from beso.networks.layers import Dropout, initialise_normal
+from beso.networks.layers import dropout, initialise_normal
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,11 @@ class TransformerConfig:
             require(0 <= getattr(self, name) < 1, f"{name} = {getattr(self, name)}: must be in [0, 1)")
 
 
+def fused_attention_pays(device: torch.device) -> bool:
+    """Over a dozen tokens, plain products are faster than the CPU's fused kernel."""
+    return device.type != "cpu"
+
+
 class Attention(nn.Module):
     """Causal multi-head self-attention with biases."""
 
@@ -59,8 +64,7 @@ class Attention(nn.Module):
         self.heads = config.heads
         self.query_key_value = nn.Linear(config.width, 3 * config.width)
         self.output = nn.Linear(config.width, config.width)
-        self.dropout = Dropout(config.attention_dropout)
-        self.residual_dropout = Dropout(config.residual_dropout)
+        self.attention_dropout, self.residual_dropout = config.attention_dropout, config.residual_dropout
 
     def forward(self, x: Tensor, mask: Tensor, last_only: bool, generator: torch.Generator | None) -> Tensor:
         """x (B, L, d) and the causal mask (L, L) -> (B, L, d), or (B, 1, d) for the last position alone."""
@@ -79,16 +83,16 @@ class Attention(nn.Module):
             mask = mask[-1:]
         else:
             query, key, value = by_head(self.query_key_value(x))
-        dropout = generator is not None and self.dropout.rate > 0
-        if x.device.type == "cpu" or dropout:
-            # Over a dozen tokens, plain products are faster than the CPU's fused kernel; and a fused kernel would draw
-            # its dropout from torch's global generator.
+        drops = generator is not None and self.attention_dropout > 0
+        if drops or not fused_attention_pays(x.device):
+            # The fused kernel would draw its dropout from torch's global generator.
             weights = torch.baddbmm(mask, query, key.mT, alpha=1 / math.sqrt(size)).softmax(dim=-1)
-            y = self.dropout(weights, generator) @ value
+            y = dropout(weights, self.attention_dropout, generator) @ value
         else:
+            query, key, value = (z.view(batch, self.heads, -1, size) for z in (query, key, value))
             y = functional.scaled_dot_product_attention(query, key, value, is_causal=not last_only)
         y = y.view(batch, self.heads, -1, size).transpose(1, 2).reshape(batch, -1, width)
-        return self.residual_dropout(self.output(y), generator)
+        return dropout(self.output(y), self.residual_dropout, generator)
 
 
 class Block(nn.Module):
@@ -100,7 +104,7 @@ class Block(nn.Module):
         self.attention_norm, self.mlp_norm = nn.LayerNorm(width), nn.LayerNorm(width)
         self.attention = Attention(config)
         self.expand, self.contract = nn.Linear(width, 4 * width), nn.Linear(4 * width, width)
-        self.residual_dropout = Dropout(config.residual_dropout)
+        self.residual_dropout = config.residual_dropout
         self.film = None
         if film_inputs is not None:
             self.film = nn.Sequential(nn.Linear(film_inputs, width), nn.ReLU(), nn.Linear(width, 4 * width))
@@ -125,7 +129,8 @@ class Block(nn.Module):
         normed = self.mlp_norm(x)
         if self.film is not None:
             normed = normed * (1 + gamma_2) + beta_2
-        return x + self.residual_dropout(self.contract(functional.gelu(self.expand(normed))), generator)
+        y = self.contract(functional.gelu(self.expand(normed)))
+        return x + dropout(y, self.residual_dropout, generator)
 
 
 class ScoreTransformer(nn.Module):

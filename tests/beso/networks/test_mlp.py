@@ -3,12 +3,12 @@ import math
 import pytest
 import torch
 
-from beso.networks.layers import Dropout
+from beso.networks.layers import dropout
 from beso.networks.mlp import MLP
 
 
-def make(dropout=0.0, seed=0):
-    return MLP(6, 2, width=64, layers=3, dropout=dropout, generator=torch.Generator().manual_seed(seed))
+def make(dropout_rate=0.0, seed=0):
+    return MLP(6, 2, width=64, layers=3, dropout_rate=dropout_rate, generator=torch.Generator().manual_seed(seed))
 
 
 def test_is_relu_layers_and_a_linear_output():
@@ -22,7 +22,7 @@ def test_is_relu_layers_and_a_linear_output():
 
 
 def test_the_papers_network_has_four_hidden_layers_of_512():
-    network = MLP(20, 2, width=512, layers=4, dropout=0.1, generator=torch.Generator())
+    network = MLP(20, 2, width=512, layers=4, dropout_rate=0.1, generator=torch.Generator())
     expected = (20 * 512 + 512) + 3 * (512 * 512 + 512) + (512 * 2 + 2)
     assert sum(p.numel() for p in network.parameters()) == expected
 
@@ -45,7 +45,7 @@ def test_initial_weights_come_from_the_generator_alone():
 
 
 def test_dropout_is_on_only_with_a_generator():
-    network, x = make(dropout=0.5), torch.ones(4, 6)
+    network, x = make(dropout_rate=0.5), torch.ones(4, 6)
     assert torch.equal(network(x), network(x))
     assert torch.equal(network(x, torch.Generator().manual_seed(0)), network(x, torch.Generator().manual_seed(0)))
     assert not torch.equal(network(x), network(x, torch.Generator().manual_seed(0)))
@@ -53,8 +53,8 @@ def test_dropout_is_on_only_with_a_generator():
 
 def test_dropout_keeps_the_mean_and_drops_at_its_rate():
     x = torch.ones(100_000)
-    y = Dropout(0.3)(x, torch.Generator().manual_seed(0))
+    y = dropout(x, 0.3, torch.Generator().manual_seed(0))
     dropped = (y == 0).float().mean().item()
     assert dropped == pytest.approx(0.3, abs=4 * math.sqrt(0.3 * 0.7 / len(x)))  # four standard errors
     assert torch.allclose(y[y != 0], torch.tensor(1 / 0.7))
-    assert torch.equal(Dropout(0.0)(x, torch.Generator()), x)
+    assert torch.equal(dropout(x, 0.0, torch.Generator()), x)

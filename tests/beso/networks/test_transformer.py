@@ -5,6 +5,7 @@ import safetensors.torch
 import torch
 from torch.nn import functional
 
+from beso.networks import transformer
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
 
 B, T, O, A, G = 3, 5, 6, 2, 2  # noqa: E741 (the letters of the docstrings)
@@ -125,15 +126,15 @@ def test_a_shorter_context_gives_the_same_first_predictions():
             assert torch.allclose(short, full[:, :steps], atol=1e-5)
 
 
-def test_attention_with_dropout_of_a_vanishing_rate_equals_the_fused_kernel():
-    """The path with dropout is written out by hand; a rate of 1e-12 selects it and drops nothing."""
+@pytest.mark.parametrize("last_only", [False, True])
+def test_plain_attention_equals_the_fused_kernel(monkeypatch, last_only):
     network, arguments = make(), inputs()
     with torch.no_grad():
-        fused = network(*arguments)
-        for block in network.blocks:
-            block.attention.dropout.rate = 1e-12
-        manual = network(*arguments, generator=torch.Generator().manual_seed(0))
-    assert torch.allclose(manual, fused, atol=1e-5)
+        plain = network(*arguments, last_only=last_only)
+        monkeypatch.setattr(transformer, "fused_attention_pays", lambda device: True)
+        fused = network(*arguments, last_only=last_only)
+    assert not torch.equal(plain, fused)  # two computations
+    assert torch.allclose(plain, fused, atol=1e-5)
 
 
 def test_last_only_works_with_dropout_too():
