@@ -55,7 +55,7 @@ def main() -> None:
     for name, (model, size) in sizes.items():
         _policy(name, model, size, sampling)
     for name, (model, size) in sizes.items():
-        _training(name, model, size, training, peak)
+        _training(name, model, size, peak)
     _rollouts(training.model, sampling, paper.evaluation.chunk, cores)
     _memory(training, sampling, paper.evaluation.chunk)
 
@@ -111,27 +111,33 @@ def _policy(name: str, model: c_beso.Config, sizes: Sizes, sampling: Any) -> Non
             print(f"  network, batch 100, {what}: {_quartiles([1000 * t for t in times], 'ms')}")
 
 
-def _training(name: str, model: c_beso.Config, sizes: Sizes, training: TrainingConfig, peak: float) -> None:
-    draws = torch.Generator().manual_seed(0)
-    method = build("c_beso", model, None, sizes).train()
+def _updates(method: Any, draws: torch.Generator, precision: str = "fp32") -> Callable[[Batch], None]:
+    """One training update, as a function of a batch."""
     optimizer = optimizers.make("adam", method.parameters(), 1e-4, 0.0)[0]
+
+    def update(batch: Batch) -> None:
+        with torch.autocast("cpu", torch.bfloat16, enabled=precision == "bf16"):
+            loss = method.loss(batch, draws)
+        loss.backward()
+        optimizer.step()
+        optimizer.zero_grad()
+
+    return update
+
+
+def _training(name: str, model: c_beso.Config, sizes: Sizes, peak: float) -> None:
+    draws = torch.Generator().manual_seed(0)
     batch = Batch(
         torch.randn(TRAINING_BATCH, model.window, sizes.observation, generator=draws),
         torch.randn(TRAINING_BATCH, model.window, sizes.action, generator=draws),
         torch.randn(TRAINING_BATCH, sizes.goal_window, sizes.observation, generator=draws),
     )
+    method = build("c_beso", model, None, sizes).train()
     tokens = 1 + sizes.goal_window + 2 * model.window
     flop = 6 * sum(p.numel() for p in method.network.blocks.parameters()) * tokens * TRAINING_BATCH
-    for precision in ("fp32", "bf16"):
-
-        def step(precision: str = precision) -> None:
-            with torch.autocast("cpu", torch.bfloat16, enabled=precision == "bf16"):
-                loss = method.loss(batch, draws)
-            loss.backward()
-            optimizer.step()
-            optimizer.zero_grad()
-
-        times = _times(step, 6 if precision == "fp32" else 1)
+    for precision, repeats in (("fp32", 6), ("bf16", 1)):
+        update = _updates(method, draws, precision)
+        times = _times(lambda update=update: update(batch), repeats)  # type: ignore[misc]
         share = flop / float(np.median(times)) / peak
         rates = [1 / t for t in times]
         print(
@@ -190,17 +196,16 @@ def _memory(training: TrainingConfig, sampling: Any, chunk: int) -> None:
 
 def _train_briefly(training: TrainingConfig) -> int:
     torch.set_num_threads(1)
-    method = build("c_beso", training.model, None, spec(ENVIRONMENT).sizes).train()
+    environment_spec = spec(ENVIRONMENT)
+    method = build("c_beso", training.model, None, environment_spec.sizes).train()
     draws = torch.Generator().manual_seed(0)
-    dataset = play.load(paths.play(ENVIRONMENT), spec(ENVIRONMENT))
+    dataset = play.load(paths.play(ENVIRONMENT), environment_spec)
     episodes = np.arange(len(dataset))
-    scaling = Scaling.fit(dataset, episodes, spec(ENVIRONMENT))
-    windows = Windows(dataset, episodes, scaling, training.model.window, spec(ENVIRONMENT).goal_window)
-    optimizer = optimizers.make("adam", method.parameters(), 1e-4, 0.0)[0]
+    scaling = Scaling.fit(dataset, episodes, environment_spec)
+    windows = Windows(dataset, episodes, scaling, training.model.window, environment_spec.goal_window)
+    update = _updates(method, draws)
     for _ in range(2):
-        method.loss(windows.sample(training.optimization.batch_size, draws), draws).backward()
-        optimizer.step()
-        optimizer.zero_grad()
+        update(windows.sample(training.optimization.batch_size, draws))
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
