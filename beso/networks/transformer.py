@@ -11,16 +11,15 @@ into a scale and a shift of the two normalised inputs instead.
 States and goals share one embedding; s_t and a_t share one position; the sigma token has none.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from beso.config import require
-from beso.networks.layers import dropout, initialise_normal
+from beso.networks.blocks import Block, causal_mask
+from beso.networks.layers import initialise_normal
 
 
 @dataclass(frozen=True)
@@ -51,88 +50,6 @@ class TransformerConfig:
             require(0 <= getattr(self, name) < 1, f"{name} = {getattr(self, name)}: must be in [0, 1)")
 
 
-def fused_attention_pays(device: torch.device) -> bool:
-    """Over a dozen tokens, plain products are faster than the CPU's fused kernel."""
-    return device.type != "cpu"
-
-
-class Attention(nn.Module):
-    """Causal multi-head self-attention with biases."""
-
-    def __init__(self, config: TransformerConfig) -> None:
-        super().__init__()
-        self.heads = config.heads
-        self.query_key_value = nn.Linear(config.width, 3 * config.width)
-        self.output = nn.Linear(config.width, config.width)
-        self.attention_dropout, self.residual_dropout = config.attention_dropout, config.residual_dropout
-
-    def forward(self, x: Tensor, mask: Tensor, last_only: bool, generator: torch.Generator | None) -> Tensor:
-        """x (B, L, d) and the causal mask (L, L) -> (B, L, d), or (B, 1, d) for the last position alone."""
-        batch, _, width = x.shape
-        size = width // self.heads
-
-        def by_head(y: Tensor) -> Tensor:
-            """(B, L, n d) -> (n, B heads, L, size)."""
-            split = y.view(batch, y.shape[1], -1, self.heads, size)
-            return split.permute(2, 0, 3, 1, 4).reshape(split.shape[2], batch * self.heads, -1, size)
-
-        if last_only:
-            weight, bias = self.query_key_value.weight, self.query_key_value.bias
-            query = by_head(functional.linear(x[:, -1:], weight[:width], bias[:width]))[0]
-            key, value = by_head(functional.linear(x, weight[width:], bias[width:]))
-            mask = mask[-1:]
-        else:
-            query, key, value = by_head(self.query_key_value(x))
-        drops = generator is not None and self.attention_dropout > 0
-        if drops or not fused_attention_pays(x.device):
-            # The fused kernel would draw its dropout from torch's global generator.
-            weights = torch.baddbmm(mask, query, key.mT, alpha=1 / math.sqrt(size)).softmax(dim=-1)
-            y = dropout(weights, self.attention_dropout, generator) @ value
-        else:
-            query, key, value = (z.view(batch, self.heads, -1, size) for z in (query, key, value))
-            y = functional.scaled_dot_product_attention(query, key, value, is_causal=not last_only)
-        y = y.view(batch, self.heads, -1, size).transpose(1, 2).reshape(batch, -1, width)
-        return dropout(self.output(y), self.residual_dropout, generator)
-
-
-class Block(nn.Module):
-    """Pre-norm transformer block; with FiLM, the goal scales and shifts both normalised inputs."""
-
-    def __init__(self, config: TransformerConfig, film_inputs: int | None) -> None:
-        super().__init__()
-        width = config.width
-        self.attention_norm, self.mlp_norm = nn.LayerNorm(width), nn.LayerNorm(width)
-        self.attention = Attention(config)
-        self.expand, self.contract = nn.Linear(width, 4 * width), nn.Linear(4 * width, width)
-        self.residual_dropout = config.residual_dropout
-        self.film = None
-        if film_inputs is not None:
-            self.film = nn.Sequential(nn.Linear(film_inputs, width), nn.ReLU(), nn.Linear(width, 4 * width))
-
-    def start_unconditional(self) -> None:
-        """Zero what FiLM adds, so that training starts from the network without a goal."""
-        if self.film is not None:
-            for parameter in self.film[-1].parameters():
-                nn.init.zeros_(parameter)
-
-    def forward(
-        self, x: Tensor, mask: Tensor, goal: Tensor, last_only: bool, generator: torch.Generator | None
-    ) -> Tensor:
-        """x (B, L, d), mask (L, L), goal (B, G, O) -> (B, L, d), or (B, 1, d) for the last position alone."""
-        normed = self.attention_norm(x)
-        if self.film is not None:
-            gamma_1, beta_1, gamma_2, beta_2 = self.film(goal.flatten(1)).unsqueeze(1).chunk(4, dim=-1)
-            normed = normed * (1 + gamma_1) + beta_1
-        if last_only:
-            x = x[:, -1:]
-        x = x + self.attention(normed, mask, last_only, generator)
-        normed = self.mlp_norm(x)
-        if self.film is not None:
-            normed = normed * (1 + gamma_2) + beta_2
-        y = self.contract(functional.gelu(self.expand(normed)))
-        return x + dropout(y, self.residual_dropout, generator)
-
-
 class ScoreTransformer(nn.Module):
     """The inner network F(c_in a, s, g, c_noise).
 
@@ -142,7 +59,7 @@ class ScoreTransformer(nn.Module):
         generator: initial weights are drawn from it.
     """
 
-    mask: Tensor  # (L, L): 0 on and below the diagonal, minus infinity in the future
+    mask: Tensor
 
     def __init__(
         self,
@@ -161,12 +78,12 @@ class ScoreTransformer(nn.Module):
         # One entry more than there are positions, as in the published network, so that parameter counts agree.
         self.position = nn.Parameter(torch.empty(1, self.goal_tokens + config.window + 1, config.width))
         film_inputs = goal_window * observation_size if film else None
-        blocks = [Block(config, film_inputs) for _ in range(config.layers)]
+        sizes = (config.width, config.heads, config.attention_dropout, config.residual_dropout)
+        blocks = [Block(*sizes, film_inputs) for _ in range(config.layers)]
         self.blocks = nn.ModuleList(blocks)
         self.norm = nn.LayerNorm(config.width)
         self.head = nn.Linear(config.width, action_size)
-        longest = 1 + self.goal_tokens + 2 * config.window
-        self.register_buffer("mask", torch.full((longest, longest), -math.inf).triu(1), persistent=False)
+        self.register_buffer("mask", causal_mask(1 + self.goal_tokens + 2 * config.window), persistent=False)
         initialise_normal(self, generator)
         for block in blocks:
             block.start_unconditional()
@@ -187,7 +104,7 @@ class ScoreTransformer(nn.Module):
             noise_level: (B,) c_noise.
             observations: (B, T, O).
             goal: (B, G, O).
-            last_only: compute only what the last action needs in the last block.
+            last_only: predict for the last action only.
             generator: turns dropout on and feeds it.
 
         Returns:
@@ -203,8 +120,10 @@ class ScoreTransformer(nn.Module):
             tokens.insert(1, self.embed_state(goal) + position[:, :goals])
         x = torch.cat(tokens, dim=1)
         mask = self.mask[: x.shape[1], : x.shape[1]]
-        for i, block in enumerate(self.blocks):
-            x = block(x, mask, goal, last_only and i == len(self.blocks) - 1, generator)
-        if not last_only:
-            x = x[:, 2 + goals :: 2]  # the action tokens
+        condition = None if goals else goal.flatten(1)
+        *earlier, last = self.blocks
+        for block in earlier:
+            x = block(x, mask, generator, condition)
+        # Of the last block, only the action tokens are read.
+        x = last(x, mask, generator, condition, slice(-1, None) if last_only else slice(2 + goals, None, 2))
         return self.head(self.norm(x))
