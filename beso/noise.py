@@ -14,6 +14,9 @@ class Noise(Protocol):
     def normal(self, *shape: int) -> Tensor:
         """Standard normal numbers, (B, *shape)."""
 
+    def uniform(self, *shape: int) -> Tensor:
+        """Uniform numbers in [0, 1), (B, *shape)."""
+
 
 class EpisodeNoise:
     """One numpy generator an episode: an episode's numbers depend on its own generator alone."""
@@ -24,8 +27,14 @@ class EpisodeNoise:
 
     def normal(self, *shape: int) -> Tensor:
         """Standard normal numbers, (B, *shape)."""
-        drawn = np.stack([g.standard_normal(shape, dtype=np.float32) for g in self.generators])
-        return torch.from_numpy(drawn).to(self.device)
+        return self._stacked([g.standard_normal(shape, dtype=np.float32) for g in self.generators])
+
+    def uniform(self, *shape: int) -> Tensor:
+        """Uniform numbers in [0, 1), (B, *shape)."""
+        return self._stacked([g.random(shape, dtype=np.float32) for g in self.generators])
+
+    def _stacked(self, drawn: list[np.ndarray]) -> Tensor:
+        return torch.from_numpy(np.stack(drawn)).to(self.device)
 
     def keep(self, running: np.ndarray) -> None:
         """Go on with a part of the batch, (B,) booleans."""
@@ -41,3 +50,22 @@ class BatchNoise:
     def normal(self, *shape: int) -> Tensor:
         """Standard normal numbers, (B, *shape)."""
         return torch.randn(self.batch, *shape, generator=self.generator, device=self.generator.device)
+
+    def uniform(self, *shape: int) -> Tensor:
+        """Uniform numbers in [0, 1), (B, *shape)."""
+        return torch.rand(self.batch, *shape, generator=self.generator, device=self.generator.device)
+
+
+def categorical(probabilities: Tensor, uniform: Tensor) -> Tensor:
+    """Classes drawn by inverting the cumulative distribution.
+
+    Args:
+        probabilities: (..., K), or anything proportional to them.
+        uniform: (..., N) numbers in [0, 1), one for each draw.
+
+    Returns:
+        (..., N) class indices.
+    """
+    cumulative = probabilities.cumsum(dim=-1)
+    drawn = torch.searchsorted(cumulative, uniform * cumulative[..., -1:], right=True)
+    return drawn.clamp_(max=probabilities.shape[-1] - 1)

@@ -18,6 +18,7 @@ from beso.data import play
 from beso.data.scaling import CLIP, Scaling
 from beso.data.spec import spec
 from beso.evaluation import Chunk, EvaluationConfig
+from beso.memory import Memory
 from beso.noise import EpisodeNoise, Noise
 from beso.seeding import generator, integer_seed
 from beso.training import pick_device, split
@@ -38,6 +39,7 @@ class Agent:
         self.goal = scaling.goals(self._tensor(goals))
         self.observations = self.goal[:, :0]  # (B, up to window, O)
         self.actions: torch.Tensor | None = None  # (B, up to window - 1, A)
+        self.memory: Memory = {}
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.asarray(array, dtype=np.float32)).to(self.device)
@@ -49,7 +51,7 @@ class Agent:
         self.observations = torch.cat([self.observations, current[:, None]], dim=1)[:, -self.window :]
         if self.actions is None:
             self.actions = current.new_empty(len(current), 0, len(self.scaling.action_low))
-        action = self.method.act(self.observations, self.actions, self.goal, noise).clamp(-CLIP, CLIP)
+        action = self.method.act(self.observations, self.actions, self.goal, noise, self.memory).clamp(-CLIP, CLIP)
         history = torch.cat([self.actions, action[:, None]], dim=1)
         self.actions = history[:, max(0, history.shape[1] - (self.window - 1)) :]
         return self.scaling.raw_actions(action).cpu().numpy()
@@ -60,6 +62,7 @@ class Agent:
         self.goal, self.observations = self.goal[rows], self.observations[rows]
         if self.actions is not None:
             self.actions = self.actions[rows]
+        self.memory = {name: value[rows] for name, value in self.memory.items()}
 
 
 def evaluate_chunk(

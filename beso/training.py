@@ -28,7 +28,7 @@ from beso.data.windows import Batch, Windows
 from beso.errors import UserError
 from beso.files import replacing
 from beso.noise import BatchNoise
-from beso.seeding import generator, torch_generator
+from beso.seeding import generator, integer_seed, torch_generator
 from beso.training_config import TrainingJob
 
 log = logging.getLogger(__name__)
@@ -73,14 +73,18 @@ def train(
     optimization, model = job.config.optimization, job.config.model
     training_episodes, held_out_episodes = split(job, len(dataset))
     scaling = Scaling.fit(dataset, training_episodes, spec)
-    windows = Windows(dataset, training_episodes, scaling, model.window, spec.goal_window, device)
-    held_out = Windows(dataset, held_out_episodes, scaling, model.window, spec.goal_window, device)
+    lookahead, goal_at_end = getattr(model, "lookahead", 0), getattr(model, "goal_at_end", False)
+    shape = (scaling, model.window, spec.goal_window, device, lookahead, goal_at_end)
+    windows = Windows(dataset, training_episodes, *shape)
+    held_out = Windows(dataset, held_out_episodes, *shape)
     validation_seed = (job.root_seed, "validation", job.seed)
     held_out_batch = held_out.sample(job.validation.windows, torch_generator(*validation_seed, device=device))
 
     # Model, averages, optimizer
     initial = torch_generator(job.root_seed, "initial weights", job.seed)
     method = methods.load(job.method).Method(model, None, spec.sizes, initial).to(device).train()
+    if hasattr(method, "prepare"):
+        method.prepare(windows.actions, integer_seed(job.root_seed, "preparation", job.seed))
     averaged = copy.deepcopy(method).eval().requires_grad_(False)
     parameters, averages = list(method.parameters()), list(averaged.parameters())
     updates = optimizers.make(optimization.optimizer, parameters, optimization.learning_rate, optimization.weight_decay)
@@ -142,10 +146,10 @@ def train(
 
 def _validate(method: Any, batch: Batch, draws: torch.Generator) -> dict[str, float]:
     """Loss, and mean squared error of the last action generated with the true context, both on held-out windows."""
-    with torch.inference_mode():
+    with torch.no_grad():  # not inference mode: C-IBC's loss has a gradient within
         loss = method.loss(batch, draws)
         noise = BatchNoise(len(batch.actions), draws)
-        actions = method.act(batch.observations, batch.actions[:, :-1], batch.goal, noise)
+        actions = method.act(batch.observations, batch.actions[:, :-1], batch.goal, noise, {})
         error = (actions - batch.actions[:, -1]).square().mean()
     return {"validation_loss": loss.item(), "validation_error": error.item()}
 

@@ -54,12 +54,12 @@ def time_calls(policy: Any, window: int, sizes: Sizes, batch: int, repeats: int)
     observations = torch.randn(batch, window, sizes.observation, generator=draws)
     actions = torch.randn(batch, window - 1, sizes.action, generator=draws)
     goal = torch.randn(batch, sizes.goal_window, sizes.observation, generator=draws)
-    noise = BatchNoise(batch, draws)
+    noise, memory = BatchNoise(batch, draws), {}  # type: ignore[var-annotated]
     times = []
     with torch.inference_mode():
         for i in range(WARM_UP + repeats):
             start = time.perf_counter()
-            policy.act(observations, actions, goal, noise)
+            policy.act(observations, actions, goal, noise, memory)
             if i >= WARM_UP:
                 times.append(1000 * (time.perf_counter() - start))
     return times

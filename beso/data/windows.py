@@ -8,7 +8,12 @@ One sample from an episode of T steps, window W, goal window G (here W = 5, G = 
     goal                                  .  .  .  [g]  .  .  .     uniform in start+W ... T-G
 
 The window starts anywhere that leaves room for a goal after it, so a goal never precedes its window, never overlaps
-it, and may be the episode's last state.
+it, and may be the episode's last state. Two methods want something else of the same windows: with `goal_at_end` the
+window's own last states are its goal, and `lookahead` adds the states that follow it:
+
+    step            0  1  2  3  4  5  6  7  8  9  ...        T-1
+    goal at end                       [g]
+    future, H = 3                         [f  f  f]              the last state again where the episode is over
 """
 
 from typing import NamedTuple
@@ -21,13 +26,24 @@ from beso.data.play import PlayDataset
 from beso.data.scaling import Scaling
 from beso.errors import UserError
 
+NOTHING = torch.empty(0)
+
 
 class Batch(NamedTuple):
-    """Scaled training samples: observations (B, W, O), actions (B, W, A), goal (B, G, O)."""
+    """Scaled training samples.
+
+    Attributes:
+        observations, actions: (B, W, O) and (B, W, A).
+        goal: (B, G, O), masked dimensions zero.
+        future: (B, H, O) the states after the window, not masked.
+        goal_step: (B,) steps from the window's last state to the goal's first.
+    """
 
     observations: Tensor
     actions: Tensor
     goal: Tensor
+    future: Tensor = NOTHING
+    goal_step: Tensor = NOTHING
 
 
 class Windows:
@@ -36,6 +52,8 @@ class Windows:
     Args:
         episodes: which episodes, indices into the dataset.
         window, goal_window: W and G.
+        lookahead: H.
+        goal_at_end: the goal is the window's own last states.
 
     Raises:
         UserError: an episode is too short for a window and a goal.
@@ -49,6 +67,8 @@ class Windows:
         window: int,
         goal_window: int,
         device: torch.device | str = "cpu",
+        lookahead: int = 0,
+        goal_at_end: bool = False,
     ) -> None:
         starts, ends = dataset.episode_starts[episodes], dataset.episode_ends[episodes]
         room = ends - starts - window - goal_window + 1  # windows of each episode
@@ -59,30 +79,51 @@ class Windows:
                 f" {shortest - goal_window} before a goal of {goal_window}"
             )
         first_of_episode = np.repeat(starts - np.concatenate([[0], np.cumsum(room)[:-1]]), room)
-        self.window, self.goal_window = window, goal_window
+        self.window, self.goal_window, self.goal_at_end = window, goal_window, goal_at_end
         self._starts = torch.from_numpy(np.arange(room.sum()) + first_of_episode).to(device)
+        self._last_steps = torch.from_numpy(np.repeat(ends - 1, room)).to(device)
         self._last_goals = torch.from_numpy(np.repeat(ends - goal_window, room)).to(device)
         self._observations = scaling.observations(torch.from_numpy(np.array(dataset.observations))).to(device)
         self._goals = scaling.mask_goals(self._observations)
         self._actions = scaling.actions(torch.from_numpy(np.array(dataset.actions))).to(device)
         self._steps = torch.arange(window, device=device)
         self._goal_steps = torch.arange(goal_window, device=device)
+        self._future_steps = window + torch.arange(lookahead, device=device)
 
     def __len__(self) -> int:
         """Number of different windows."""
         return len(self._starts)
 
-    def indices(self, size: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Draw `size` windows with replacement: first steps of the windows and of their goals, each (size,)."""
+    @property
+    def actions(self) -> Tensor:
+        """(N, A) scaled actions of all steps of these episodes that a window can hold."""
+        held = torch.unique(self._starts[:, None] + self._steps)
+        return self._actions[held]
+
+    def indices(self, size: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+        """Draw `size` windows with replacement.
+
+        Returns:
+            First steps of the windows and of their goals, and the last steps of their episodes, each (size,).
+        """
         device = self._starts.device
         chosen = torch.randint(len(self), (size,), generator=generator, device=device)
-        start = self._starts[chosen]
+        start, last_step = self._starts[chosen], self._last_steps[chosen]
+        if self.goal_at_end:
+            return start, start + self.window - self.goal_window, last_step
         earliest, last = start + self.window, self._last_goals[chosen]
         uniform = torch.rand(size, generator=generator, device=device, dtype=torch.float64)
-        return start, earliest + (uniform * (last - earliest + 1)).long()
+        return start, earliest + (uniform * (last - earliest + 1)).long(), last_step
 
     def sample(self, size: int, generator: torch.Generator) -> Batch:
         """A batch of random windows with random later goals."""
-        start, goal = self.indices(size, generator)
+        start, goal, last_step = self.indices(size, generator)
         steps = start[:, None] + self._steps
-        return Batch(self._observations[steps], self._actions[steps], self._goals[goal[:, None] + self._goal_steps])
+        future = torch.minimum(start[:, None] + self._future_steps, last_step[:, None])
+        return Batch(
+            self._observations[steps],
+            self._actions[steps],
+            self._goals[goal[:, None] + self._goal_steps],
+            self._observations[future],
+            goal - (start + self.window - 1),
+        )

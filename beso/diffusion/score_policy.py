@@ -24,6 +24,7 @@ from beso.diffusion.guidance import classifier_free
 from beso.diffusion.preconditioning import broadcast_to_actions, network_target, scales
 from beso.diffusion.samplers import SAMPLERS, Denoise
 from beso.diffusion.schedules import SCHEDULES
+from beso.memory import Memory
 from beso.noise import Noise
 
 
@@ -157,7 +158,7 @@ class ScorePolicy(nn.Module):
         kept = actions[:, -1:] if last_only else actions
         return skip * kept + out * predicted
 
-    def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise) -> Tensor:
+    def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise, memory: Memory) -> Tensor:
         """Generate the next action.
 
         Args:
@@ -165,6 +166,7 @@ class ScorePolicy(nn.Module):
             actions: (B, T-1, A) scaled previous actions.
             goal: (B, G, O) scaled.
             noise: source of the initial sample and of injected noise.
+            memory: not used.
 
         Returns:
             (B, A) scaled action.

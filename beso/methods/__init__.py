@@ -2,7 +2,8 @@
 
 A module defines
 
-    Config       what shapes the network (`methods.<name>.train.<env>.model`); has a `window`, the longest context
+    Config       what shapes the network (`methods.<name>.train.<env>.model`); has a `window`, the longest context, and
+                 may have `lookahead` and `goal_at_end` (see beso.data.windows)
     Sampling     what only action generation needs (`methods.<name>.sample.<env>`)
     Method       the policy
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:  # a cell that only checks parameters does not depend on these
 
     from beso.data.spec import Sizes
     from beso.data.windows import Batch
+    from beso.memory import Memory
     from beso.noise import Noise
 
 
@@ -35,8 +37,11 @@ class Method(Protocol):
     def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:
         """Loss of a batch, a scalar, with random numbers from `generator`; dropout only in training mode."""
 
-    def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise) -> Tensor:
-        """(B, T, O), (B, T-1, A), (B, G, O) -> next action (B, A)."""
+    def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise, memory: Memory) -> Tensor:
+        """(B, T, O), (B, T-1, A), (B, G, O) -> next action (B, A). `memory` may be changed."""
+
+    def prepare(self, actions: Tensor, seed: int) -> None:
+        """Optional: look at all scaled training actions (N, A) before the first update."""
 
     def state_dict(self) -> dict[str, Tensor]:
         """Weights by name."""

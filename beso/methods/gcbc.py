@@ -13,6 +13,7 @@ from torch.nn import functional
 from beso.config import require
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
+from beso.memory import Memory
 from beso.networks.mlp import MLP
 from beso.noise import Noise
 
@@ -62,6 +63,6 @@ class Method(nn.Module):
         predicted = self._predict(batch.observations[:, -1], batch.goal, generator if self.training else None)
         return functional.mse_loss(predicted.float(), batch.actions[:, -1])
 
-    def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise) -> Tensor:
+    def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise, memory: Memory) -> Tensor:
         """(B, T, O), (B, T-1, A), (B, G, O) -> (B, A)."""
         return self._predict(observations[:, -1], goal)

@@ -63,7 +63,7 @@ def test_a_loaded_policy_acts_like_the_saved_one(save, load, make_job, name):
     )
     with torch.inference_mode():
         results = [
-            policy.act(observations, actions, goal, EpisodeNoise([np.random.default_rng(i) for i in range(2)]))
+            policy.act(observations, actions, goal, EpisodeNoise([np.random.default_rng(i) for i in range(2)]), {})
             for policy in (saved, loaded)
         ]
     assert torch.equal(*results)

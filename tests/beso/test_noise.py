@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from beso.noise import BatchNoise, EpisodeNoise
+from beso.noise import BatchNoise, EpisodeNoise, categorical
 
 
 def episodes(*numbers):
@@ -35,3 +35,26 @@ def test_numbers_are_standard_normal_in_single_precision():
 def test_batch_noise_is_its_generators():
     drawn = BatchNoise(3, torch.Generator().manual_seed(5)).normal(1, 2)
     assert torch.equal(drawn, torch.randn(3, 1, 2, generator=torch.Generator().manual_seed(5)))
+
+
+def test_uniform_numbers_have_the_right_shape_and_range():
+    for noise in (episodes(0, 1), BatchNoise(2, torch.Generator().manual_seed(0))):
+        drawn = noise.uniform(500, 2)
+        assert drawn.shape == (2, 500, 2)
+        assert 0 <= drawn.min() < 0.02
+        assert 0.98 < drawn.max() < 1
+
+
+def test_categorical_draws_classes_with_their_probabilities():
+    probabilities = torch.tensor([[0.1, 0.0, 0.6, 0.3], [2.0, 2.0, 0.0, 0.0]])
+    uniform = torch.rand(2, 40_000, generator=torch.Generator().manual_seed(0))
+    drawn = categorical(probabilities, uniform)
+    shares = torch.stack([torch.bincount(row, minlength=4) for row in drawn]) / 40_000
+    expected = probabilities / probabilities.sum(dim=1, keepdim=True)
+    assert torch.allclose(shares, expected, atol=4 * 0.5 / 200)
+    assert (shares[expected == 0] == 0).all()
+
+
+def test_categorical_never_leaves_the_classes():
+    nearly_one = torch.tensor([[0.0, 1 - 2**-24]])
+    assert categorical(torch.tensor([[0.3, 0.7]]), nearly_one).tolist() == [[0, 1]]

@@ -21,7 +21,7 @@ class Recorder:
     def __init__(self, answer):
         self.answer, self.calls = answer, []
 
-    def act(self, observations, actions, goal, noise):
+    def act(self, observations, actions, goal, noise, memory):
         self.calls.append((observations.clone(), actions.clone(), goal.clone()))
         return torch.full((len(observations), 2), self.answer)
 
@@ -64,6 +64,19 @@ def test_agent_goes_on_with_the_running_episodes(scaling):
     first, second = policy.calls
     assert torch.equal(second[0][:, 0], first[0][[0, 2], 0])
     assert torch.equal(second[2], first[2][[0, 2]])
+
+
+def test_agent_keeps_the_memory_of_the_running_episodes(scaling):
+    class Counter:
+        def act(self, observations, actions, goal, noise, memory):
+            memory["steps"] = memory.get("steps", torch.arange(len(observations))) + 10
+            return torch.zeros(len(observations), 2)
+
+    agent = Agent(Counter(), 1, scaling, np.zeros((3, 1, 16)), CPU)
+    agent.act(np.zeros((3, 16)), noise=None)
+    agent.keep(np.array([False, True, True]))
+    agent.act(np.zeros((2, 16)), noise=None)
+    assert agent.memory["steps"].tolist() == [21, 22]
 
 
 def test_chunks_cover_every_episode_once():

@@ -24,7 +24,7 @@ def make(data, spec):
 
 
 def drawn(windows, count, seed=0):
-    start, goal = windows.indices(count, torch.Generator().manual_seed(seed))
+    start, goal, _ = windows.indices(count, torch.Generator().manual_seed(seed))
     return start.numpy(), goal.numpy()
 
 
@@ -105,3 +105,31 @@ def test_a_window_that_does_not_fit_is_refused_with_the_lengths(make, goal_windo
     message = f"window = 8: the shortest episode has 8 steps, room for a window of at most {room} before a goal of"
     with pytest.raises(UserError, match=f"{message} {goal_window}"):
         make(window=8, goal_window=goal_window)
+
+
+def test_the_future_follows_the_window_and_stops_at_the_episodes_end(data, spec):
+    episodes = np.arange(len(LENGTHS))
+    scaling = Scaling.fit(data, episodes, spec)
+    windows = Windows(data, episodes, scaling, 2, 1, lookahead=6)
+    start, goal, _ = windows.indices(500, torch.Generator().manual_seed(0))
+    batch = windows.sample(500, torch.Generator().manual_seed(0))
+    scaled = scaling.observations(torch.from_numpy(np.array(data.observations)))
+    last = torch.from_numpy(data.episode_ends)[np.searchsorted(data.episode_ends, start.numpy(), side="right")] - 1
+    for ahead in range(6):
+        assert torch.equal(batch.future[:, ahead], scaled[torch.minimum(start + 2 + ahead, last)])
+    assert torch.equal(batch.goal_step, goal - start - 1)
+    assert batch.goal_step.min() == 1
+
+
+def test_a_goal_at_the_end_is_the_windows_last_states_masked(data, spec):
+    episodes = np.arange(len(LENGTHS))
+    scaling = Scaling.fit(data, episodes, spec)
+    batch = Windows(data, episodes, scaling, 5, 2, goal_at_end=True).sample(50, torch.Generator().manual_seed(0))
+    assert torch.equal(batch.goal, scaling.mask_goals(batch.observations[:, -2:]))
+
+
+def test_actions_are_those_of_the_windows_episodes(data, spec):
+    scaling = Scaling.fit(data, np.arange(len(LENGTHS)), spec)
+    actions = Windows(data, np.array([1, 3]), scaling, 5, 1).actions
+    rows = np.concatenate([np.arange(data.episode_starts[i], data.episode_ends[i] - 1) for i in (1, 3)])
+    assert torch.equal(actions, scaling.actions(torch.from_numpy(np.array(data.actions)))[rows])

@@ -70,10 +70,10 @@ def batch(size=B):
 
 
 def act(policy, data=None, seed=0, steps=T):
-    observations, actions, goal = data or batch()
+    observations, actions, goal, *_ = data or batch()
     noise = BatchNoise(len(goal), torch.Generator().manual_seed(seed))
     with torch.no_grad():
-        return policy.act(observations[:, :steps], actions[:, : steps - 1], goal, noise)
+        return policy.act(observations[:, :steps], actions[:, : steps - 1], goal, noise, {})
 
 
 def initial_noise(count, seed=0):
@@ -258,8 +258,9 @@ def test_an_episodes_action_does_not_depend_on_its_neighbours():
             data.actions[:, :-1],
             data.goal,
             EpisodeNoise([np.random.default_rng(i) for i in range(B)]),
+            {},
         )
-        alone = policy.act(*picked, EpisodeNoise([np.random.default_rng(3), np.random.default_rng(1)]))
+        alone = policy.act(*picked, EpisodeNoise([np.random.default_rng(3), np.random.default_rng(1)]), {})
     assert torch.allclose(together[rows], alone, atol=1e-5)
 
 

@@ -88,8 +88,8 @@ def test_acts_with_every_length_of_context(make, name):
     method, config = make(name)
     method.eval()
     for steps in range(1, config.window + 1):
-        observations, actions, goal = batch(4, steps)
-        action = method.act(observations, actions[:, :-1], goal, episode_noise(4))
+        observations, actions, goal, *_ = batch(4, steps)
+        action = method.act(observations, actions[:, :-1], goal, episode_noise(4), {})
         assert action.shape == (4, SIZES.action)
         assert action.isfinite().all()
 
@@ -98,12 +98,12 @@ def test_acts_with_every_length_of_context(make, name):
 def test_a_batch_of_seven_acts_like_seven_single_calls(make, name):
     method, config = make(name)
     train_a_little(method, config.window)
-    observations, actions, goal = batch(7, config.window)
+    observations, actions, goal, *_ = batch(7, config.window)
     with torch.inference_mode():
-        together = method.act(observations, actions[:, :-1], goal, episode_noise(7))
+        together = method.act(observations, actions[:, :-1], goal, episode_noise(7), {})
         for i in range(7):
             one = EpisodeNoise([np.random.default_rng(i)])
-            alone = method.act(observations[i : i + 1], actions[i : i + 1, :-1], goal[i : i + 1], one)
+            alone = method.act(observations[i : i + 1], actions[i : i + 1, :-1], goal[i : i + 1], one, {})
             # Matrix products of other batch sizes round differently.
             assert torch.allclose(together[i], alone[0], atol=1e-5)
 
@@ -112,11 +112,11 @@ def test_a_batch_of_seven_acts_like_seven_single_calls(make, name):
 def test_actions_depend_on_state_and_goal(make, name):
     method, config = make(name)
     train_a_little(method, config.window)
-    observations, actions, goal = batch(3, config.window)
+    observations, actions, goal, *_ = batch(3, config.window)
 
     def act(observations, goal):
         with torch.inference_mode():
-            return method.act(observations, actions[:, :-1], goal, episode_noise(3))
+            return method.act(observations, actions[:, :-1], goal, episode_noise(3), {})
 
     before = act(observations, goal)
     assert torch.equal(before, act(observations, goal))
@@ -131,9 +131,9 @@ def test_weights_survive_a_round_trip(make, name):
     copy, _ = make(name, seed=1)
     copy.load_state_dict({key: value.clone() for key, value in method.state_dict().items()})
     copy.eval()
-    observations, actions, goal = batch(3, config.window)
+    observations, actions, goal, *_ = batch(3, config.window)
     with torch.inference_mode():
-        results = [m.act(observations, actions[:, :-1], goal, episode_noise(3)) for m in (method, copy)]
+        results = [m.act(observations, actions[:, :-1], goal, episode_noise(3), {}) for m in (method, copy)]
     assert torch.equal(*results)
 
 
@@ -141,8 +141,8 @@ def test_weights_survive_a_round_trip(make, name):
 def test_without_sampling_a_method_uses_its_default(make, name, small_models):
     _, config = make(name)
     method = methods.load(name).Method(config, None, SIZES, torch.Generator().manual_seed(0)).eval()
-    observations, actions, goal = batch(3, config.window)
-    assert method.act(observations, actions[:, :-1], goal, episode_noise(3)).shape == (3, SIZES.action)
+    observations, actions, goal, *_ = batch(3, config.window)
+    assert method.act(observations, actions[:, :-1], goal, episode_noise(3), {}).shape == (3, SIZES.action)
 
 
 # Learning
@@ -171,7 +171,7 @@ def trained_on_the_fork(make, name, model, sampling, updates=300):
         method.zero_grad()
     goal = torch.ones(500, 1, 2)
     with torch.inference_mode():
-        return method.eval().act(torch.zeros(500, 1, 2), torch.zeros(500, 0, 1), goal, BatchNoise(500, generator))
+        return method.eval().act(torch.zeros(500, 1, 2), torch.zeros(500, 0, 1), goal, BatchNoise(500, generator), {})
 
 
 @pytest.mark.parametrize(("name", "sampling"), [("c_beso", {}), ("cfg_beso", {"guidance_scale": 1.0})])
