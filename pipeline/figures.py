@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import math
 from pathlib import Path
 
 import matplotlib
@@ -36,6 +37,7 @@ def draw_all(params: Params, comparison: pd.DataFrame, folder: Path) -> None:
             part = comparison[comparison["environment"] == environment]
             save(scores(params, part), temporary, f"scores_{environment}")
             save(training_curves(params, environment), temporary, f"training_{environment}")
+        save(fork_samples(params), temporary, "fork")
 
 
 def scores(params: Params, comparison: pd.DataFrame) -> Figure:
@@ -57,6 +59,27 @@ def scores(params: Params, comparison: pd.DataFrame) -> Figure:
         axis.set_title(names.METRICS[metric])
     axes[0].set_ylabel(names.ENVIRONMENTS[comparison["environment"].iloc[0]])
     axes[1].legend(frameon=False)
+    return figure
+
+
+def fork_samples(params: Params) -> Figure:
+    """Actions of the demonstrations and of every method on the fork, a panel each."""
+    table = pd.read_csv(paths.FORK)
+    panels = ["data", *params.grid.methods]
+    columns = min(5, len(panels))
+    rows = math.ceil(len(panels) / columns)
+    figure = Figure(figsize=(7, 0.4 + 1.1 * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flatten()
+    for axis, method in zip(grid, panels, strict=False):
+        part = table[table["method"] == method]
+        colour = COLOURS["paper"] if method == "data" else COLOURS["ours"]
+        axis.scatter(part["x"], part["y"], s=2, color=colour, linewidths=0)
+        axis.set_title("demonstrations" if method == "data" else names.METHODS[method])
+        axis.set(xlim=(-1.2, 1.2), ylim=(-0.3, 0.9))
+    for axis in grid[len(panels) :]:
+        axis.set_axis_off()
+    figure.supxlabel("action, first entry")
+    figure.supylabel("second entry")
     return figure
 
 

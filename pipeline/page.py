@@ -48,6 +48,9 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
                 f"training_{name}", f"{title}: squared error of the last action on held-out windows, a line a seed."
             ),
         ]
+    figures.append(
+        _figure("fork", "The fork, a toy: one state with two right actions, and the actions each method draws from it.")
+    )
     return environment.get_template("report.html.j2").render(
         **values,
         figures=figures,

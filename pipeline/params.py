@@ -84,6 +84,18 @@ class Latency:
 
 
 @dataclass(frozen=True)
+class Fork:
+    """How long every method trains on the fork (see pipeline.fork), and how many actions are drawn."""
+
+    updates: int
+    samples: int
+
+    def __post_init__(self) -> None:
+        for name in ("updates", "samples"):
+            require(getattr(self, name) >= 1, f"{name} = {getattr(self, name)}: must be at least 1")
+
+
+@dataclass(frozen=True)
 class MethodParams:
     """One method's parameters by environment, split so that a change of sampling never retrains."""
 
@@ -104,6 +116,7 @@ class Params:
     training: Training
     evaluation: EvaluationConfig
     latency: Latency
+    fork: Fork
     methods: dict[str, MethodParams]
 
     def __post_init__(self) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 SCRATCH = Path(".scratch")
 REPORTS = Path("reports")
 LATENCY = Path("results/latency.csv")
+FORK = Path("results/fork.csv")
 
 
 def play(environment: str) -> Path:

@@ -69,6 +69,7 @@ BY_NAME = {  # what a stage imports by the names in its cell
     "train": ["beso/methods/{method}.py"],
     "evaluate": ["beso/methods/{method}.py", "beso/envs/{env}.py"],
     "latency": [f"beso/methods/{method}.py" for method in GRID["methods"]],
+    "fork": [f"beso/methods/{method}.py" for method in GRID["methods"]],
     "tables": [],
     "page": [],
 }

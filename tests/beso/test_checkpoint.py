@@ -18,12 +18,22 @@ CPU = torch.device("cpu")
 
 
 @pytest.fixture
-def save(dataset, spec, make_job, tmp_path):
+def sampling(small_models):
+    """sampling(job, changes) -> how the job's method generates actions in these tests."""
+
+    def sampling(job, **changes):
+        return build(methods.load(job.method).Sampling, {**small_models[job.method][1], **changes}, "sampling")
+
+    return sampling
+
+
+@pytest.fixture
+def save(dataset, spec, make_job, sampling, tmp_path):
     """save(job) -> the policy that was saved as a checkpoint in tmp_path."""
 
     def save(job):
         generator = torch.Generator().manual_seed(0)
-        method = methods.load(job.method).Method(job.config.model, None, spec.sizes, generator)
+        method = methods.load(job.method).Method(job.config.model, sampling(job), spec.sizes, generator)
         weights = {key: value.detach().clone() for key, value in method.state_dict().items()}
         scaling = Scaling.fit(dataset, np.arange(3), spec)
         curve = [{"step": 8, "training_loss": 0.5}]
@@ -34,11 +44,9 @@ def save(dataset, spec, make_job, tmp_path):
 
 
 @pytest.fixture
-def load(small_models, spec, tmp_path):
-    def load(job, **sampling):
-        values = {**small_models[job.method][1], **sampling}
-        chosen = build(methods.load(job.method).Sampling, values, "sampling")
-        return checkpoint.load(tmp_path, job, chosen, spec, CPU)
+def load(sampling, spec, tmp_path):
+    def load(job, **changes):
+        return checkpoint.load(tmp_path, job, sampling(job, **changes), spec, CPU)
 
     return load
 
@@ -53,7 +61,7 @@ def refused(message, function, *arguments):
 def test_a_loaded_policy_acts_like_the_saved_one(save, load, make_job, name):
     job = make_job(name)
     saved, scaling = save(job)
-    loaded, loaded_scaling = load(job, guidance_scale=1.0) if name == "cfg_beso" else load(job)
+    loaded, loaded_scaling = load(job)
     assert loaded_scaling == scaling
     assert not loaded.training
     window = job.config.model.window

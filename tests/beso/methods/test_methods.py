@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from beso import methods, optimizers
+from beso import methods
 from beso.config import build
-from beso.data.spec import Sizes
-from beso.data.windows import Batch
 from beso.errors import UserError
-from beso.noise import BatchNoise, EpisodeNoise
+from beso.noise import EpisodeNoise
+from tests.beso.methods import SIZES, batch
 
-SIZES = Sizes(observation=10, action=2, goal_window=1)
 NAMES = methods.names()
 
 
@@ -24,16 +22,6 @@ def make(small_models):
         return module.Method(config, chosen, sizes, torch.Generator().manual_seed(seed)), config
 
     return make
-
-
-def batch(size, window, sizes=SIZES, seed=0):
-    generator = torch.Generator().manual_seed(seed)
-    shapes = (
-        (size, window, sizes.observation),
-        (size, window, sizes.action),
-        (size, sizes.goal_window, sizes.observation),
-    )
-    return Batch(*(torch.randn(shape, generator=generator) for shape in shapes))
 
 
 def train_a_little(method, window, updates=5):
@@ -112,11 +100,11 @@ def test_a_batch_of_seven_acts_like_seven_single_calls(make, name):
 def test_actions_depend_on_state_and_goal(make, name):
     method, config = make(name)
     train_a_little(method, config.window)
-    observations, actions, goal, *_ = batch(3, config.window)
+    observations, actions, goal, *_ = batch(30, config.window)
 
     def act(observations, goal):
         with torch.inference_mode():
-            return method.act(observations, actions[:, :-1], goal, episode_noise(3), {})
+            return method.act(observations, actions[:, :-1], goal, episode_noise(30), {})
 
     before = act(observations, goal)
     assert torch.equal(before, act(observations, goal))
@@ -143,49 +131,3 @@ def test_without_sampling_a_method_uses_its_default(make, name, small_models):
     method = methods.load(name).Method(config, None, SIZES, torch.Generator().manual_seed(0)).eval()
     observations, actions, goal, *_ = batch(3, config.window)
     assert method.act(observations, actions[:, :-1], goal, episode_noise(3), {}).shape == (3, SIZES.action)
-
-
-# Learning
-
-FORK = Sizes(observation=2, action=1, goal_window=1)
-
-
-def fork(size, generator):
-    """The same state and goal every time; half of the actions are -0.5, half +0.5, with a spread of 0.03."""
-    side = torch.randint(2, (size, 1, 1), generator=generator) - 0.5
-    actions = side + 0.03 * torch.randn(size, 1, 1, generator=generator)
-    return Batch(torch.zeros(size, 1, 2), actions, torch.ones(size, 1, 2))
-
-
-def trained_on_the_fork(make, name, model, sampling, updates=300):
-    """500 actions of a policy after a short training; Muon, because it needs the fewest updates."""
-    method, _ = make(name, FORK, model=model, sampling=sampling)
-    generator = torch.Generator().manual_seed(0)
-    updating = optimizers.make("muon", method.parameters(), 1e-2, 0.0)
-    decays = [torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates) for optimizer in updating]
-    for _ in range(updates):
-        method.train().loss(fork(64, generator), generator).backward()
-        for optimizer, decay in zip(updating, decays, strict=True):
-            optimizer.step()
-            decay.step()
-        method.zero_grad()
-    goal = torch.ones(500, 1, 2)
-    with torch.inference_mode():
-        return method.eval().act(torch.zeros(500, 1, 2), torch.zeros(500, 0, 1), goal, BatchNoise(500, generator), {})
-
-
-@pytest.mark.parametrize(("name", "sampling"), [("c_beso", {}), ("cfg_beso", {"guidance_scale": 1.0})])
-def test_score_policies_keep_both_modes_of_a_fork(make, name, sampling):
-    transformer = {"width": 32, "layers": 2, "heads": 2, "window": 1, "conditioning": "sequential"}
-    transformer |= {"attention_dropout": 0.0, "residual_dropout": 0.0}
-    actions = trained_on_the_fork(make, name, {"transformer": transformer}, {"steps": 10, **sampling})
-    # Three seeds gave 0.92 to 0.96; uniform actions would give 0.3, and the mean of the modes 0.
-    assert ((actions.abs() - 0.5).abs() < 0.15).float().mean() > 0.8
-    # The share of one mode: 0.5 up to 4 standard errors (0.09) and what 300 updates leave unlearned.
-    assert 0.35 < (actions > 0).float().mean() < 0.65
-
-
-def test_behaviour_cloning_averages_the_modes_of_a_fork(make):
-    actions = trained_on_the_fork(make, "gcbc", {"dropout": 0.0}, {})
-    assert actions.abs().max() < 0.1
-    assert (actions == actions[0]).all()

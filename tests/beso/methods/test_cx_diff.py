@@ -1,0 +1,90 @@
+import math
+
+import pytest
+import torch
+
+from beso.methods import cx_diff
+from beso.networks.transformer import TransformerConfig
+from beso.noise import BatchNoise
+from tests.beso.methods import SIZES, batch
+
+TRANSFORMER = TransformerConfig(16, 1, 2, 3, 0.0, 0.0, "sequential")
+
+
+def make(steps=None, extra_steps=0, length=10, beta_max=0.5):
+    config = cx_diff.Config(TRANSFORMER, length, 1e-4, beta_max)
+    return cx_diff.Method(config, cx_diff.Sampling(steps, extra_steps), SIZES, torch.Generator().manual_seed(0)).eval()
+
+
+def test_the_full_chain_is_ho_et_als():
+    betas = torch.linspace(1e-4, 0.5, 10, dtype=torch.float64)
+    shares = cx_diff.signal_shares(10, 1e-4, 0.5)
+    updates = cx_diff.ancestral_updates(shares.tolist(), 10)
+    assert [t for t, *_ in updates] == list(range(10, 0, -1))
+    for t, scale, slope, std in updates:
+        beta, share = betas[t - 1].item(), torch.prod(1 - betas[:t]).item()
+        assert scale == pytest.approx(1 / math.sqrt(1 - beta))
+        assert slope == pytest.approx(beta / math.sqrt(1 - share))
+        before = torch.prod(1 - betas[: t - 1]).item()
+        assert std == pytest.approx(math.sqrt(beta * (1 - before) / (1 - share)))
+
+
+@pytest.mark.parametrize(
+    ("steps", "levels"), [(3, [10, 7, 3]), (1, [10]), (4, [10, 8, 5, 2]), (99, list(range(10, 0, -1)))]
+)
+def test_fewer_steps_are_evenly_chosen(steps, levels):
+    updates = cx_diff.ancestral_updates(cx_diff.signal_shares(10, 1e-4, 0.5).tolist(), steps)
+    assert [t for t, *_ in updates] == levels
+    assert updates[-1][3] == 0
+
+
+@pytest.mark.parametrize(("steps", "extra"), [(None, 0), (None, 8), (3, 0), (3, 2)])
+def test_network_calls_are_the_steps_and_the_extra_steps(steps, extra):
+    method, levels = make(steps, extra), []
+
+    def network(actions, level, observations, goal, last_only):
+        levels.append(level[0].item())
+        return torch.zeros_like(actions[:, -1:])
+
+    method.network.forward = network
+    observations, actions, goal, *_ = batch(2, 3)
+    method.act(observations, actions[:, :-1], goal, BatchNoise(2, torch.Generator().manual_seed(0)), {})
+    assert len(levels) == (steps or 10) + extra
+    assert levels[len(levels) - extra :] == pytest.approx([0.1] * extra), "extra steps are at the lowest level"
+
+
+@pytest.mark.parametrize("steps", [None, 3])
+def test_with_the_exact_noise_of_a_gaussian_the_chain_draws_from_it(steps):
+    """Data N(0.3, 0.2^2): E[eps | a, t] is known in closed form."""
+    mean, std = 0.3, 0.2
+    method = make(steps, length=200 if steps is None else 10, beta_max=0.05 if steps is None else 0.5)
+    shares = method.alpha_bar
+
+    def exact(actions, level, observations, goal, last_only):
+        share = shares[(level[0] * method.length).round().long()]
+        a = actions[:, -1:]
+        return (1 - share).sqrt() * (a - share.sqrt() * mean) / (share * std**2 + 1 - share)
+
+    method.network.forward = exact
+    count = 20_000
+    observations, actions, goal, *_ = batch(1, 1)
+    observations, goal = observations.expand(count, -1, -1), goal.expand(count, -1, -1)
+    noise = BatchNoise(count, torch.Generator().manual_seed(0))
+    drawn = method.act(observations, actions[:, :0].expand(count, -1, -1), goal, noise, {})
+    assert drawn.mean().item() == pytest.approx(mean, abs=0.02)
+    if steps is None:  # a few coarse steps with the variance of Ho et al. draw too narrowly or too widely
+        assert drawn.std().item() == pytest.approx(std, rel=0.1)
+
+
+def test_the_loss_is_the_squared_error_of_the_noise():
+    method, data = make(), batch(4, 3)
+    method.network.forward = lambda a, *args, **kw: torch.zeros_like(a)
+    draws = torch.Generator().manual_seed(5)
+    loss = method.loss(data, torch.Generator().manual_seed(5))
+    torch.randint(1, 11, (4,), generator=draws)
+    assert loss.item() == pytest.approx(torch.randn(data.actions.shape, generator=draws).square().mean().item())
+
+
+def test_an_impossible_chain_is_refused():
+    with pytest.raises(ValueError, match=r"beta_min = 0\.3: must be above 0 and at most beta_max = 0\.2"):
+        cx_diff.Config(TRANSFORMER, 10, 0.3, 0.2)
