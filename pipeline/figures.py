@@ -55,7 +55,7 @@ def scores(params: Params, comparison: pd.DataFrame) -> Figure:
             part = part.reindex(params.grid.methods)
             offset = (i - (len(bars) - 1) / 2) * width
             axis.bar(places + offset, part[value], width, yerr=part[std], label=label, color=colour, capsize=2)
-        axis.set_xticks(places, [names.METHODS[m] for m in params.grid.methods])
+        axis.set_xticks(places, [names.METHODS[m] for m in params.grid.methods], rotation=30, ha="right")
         axis.set_title(names.METRICS[metric])
     axes[0].set_ylabel(names.ENVIRONMENTS[comparison["environment"].iloc[0]])
     axes[1].legend(frameon=False)
