@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from beso import methods
+from pipeline.names import METHODS
 from pipeline.video import write_video
 
 
@@ -30,12 +31,21 @@ def test_comparison_has_every_cell_and_follows_from_the_rows(finished):
 
 def test_tables_put_ours_beside_the_papers(finished):
     text = (finished.folder / "reports/tables.tex").read_text()
-    assert "GCBC & C-BESO & CFG-BESO" in text
-    assert len(re.findall(r"\\pm", text)) == 2 * 3 * 3  # metrics x (training, held-out, paper) x methods
+    assert "GCBC & C-IBC & LMP & RIL & C-BeT & CX-Diff & C-BESO & CFG-BESO" in text
+    assert len(re.findall(r"\\pm", text)) == 2 * 3 * len(methods.names())  # metrics, whose, methods
     for number in ("0.13", "0.96", "0.97", "0.93", "0.88"):  # the paper's
         assert f"{number} ($\\pm$" in text
     assert "scripted demonstrations made here" in text
     assert "116,793" in text
+
+
+def test_tables_have_every_methods_hyperparameters_beside_the_papers(finished):
+    text = (finished.folder / "reports/tables.tex").read_text()
+    for method in methods.names():
+        assert f"Hyper-parameters: {METHODS[method]}, Block-Push." in text
+    assert r"Counter examples & 8 & 64 * \\" in text
+    assert r"Energy penalty & 0.005 & 0.005 \\" in text
+    assert r"Sampling: steps & all & all \\" in text  # CX-Diff's whole chain
 
 
 @pytest.mark.skipif(not shutil.which("pdflatex"), reason="pdflatex is not installed (texlive-latex-recommended)")
