@@ -77,6 +77,7 @@ def train(
     shape = (scaling, model.window, spec.goal_window, device, lookahead, goal_at_end)
     windows = Windows(dataset, training_episodes, *shape)
     held_out = Windows(dataset, held_out_episodes, *shape)
+    decision = 0 if goal_at_end else model.window - 1  # the step at which held-out actions are generated
     validation_seed = (job.root_seed, "validation", job.seed)
     held_out_batch = held_out.sample(job.validation.windows, torch_generator(*validation_seed, device=device))
 
@@ -116,14 +117,15 @@ def train(
             optimizer.step()
         method.zero_grad()
         decay = min(optimization.ema_decay, (1 + step) / (10 + step))
-        torch._foreach_lerp_(averages, parameters, 1 - decay)
+        with torch.no_grad():  # otherwise the averages would remember every update
+            torch._foreach_lerp_(averages, parameters, 1 - decay)
         loss_sum += loss.detach()
 
         # Measurement
         done = step + 1
         if done % job.validation.every == 0 or done == optimization.steps:
             since = done - (curve[-1]["step"] if curve else 0)
-            measured = _validate(averaged, held_out_batch, torch_generator(*validation_seed, device=device))
+            measured = _validate(averaged, held_out_batch, decision, torch_generator(*validation_seed, device=device))
             curve.append({"step": done, "training_loss": loss_sum.item() / since, **measured, "learning_rate": rate})
             loss_sum.zero_()
             if not math.isfinite(curve[-1]["training_loss"]):
@@ -144,13 +146,18 @@ def train(
     return Trained(weights, scaling, curve)
 
 
-def _validate(method: Any, batch: Batch, draws: torch.Generator) -> dict[str, float]:
-    """Loss, and mean squared error of the last action generated with the true context, both on held-out windows."""
+def _validate(method: Any, batch: Batch, decision: int, draws: torch.Generator) -> dict[str, float]:
+    """Loss and action error on held-out windows.
+
+    The error is the mean square of that of the action at step `decision`, generated with the true context: the window's
+    last, or its first where the goal is the window's end.
+    """
     with torch.no_grad():  # not inference mode: C-IBC's loss has a gradient within
         loss = method.loss(batch, draws)
         noise = BatchNoise(len(batch.actions), draws)
-        actions = method.act(batch.observations, batch.actions[:, :-1], batch.goal, noise, {})
-        error = (actions - batch.actions[:, -1]).square().mean()
+        context = batch.observations[:, : decision + 1], batch.actions[:, :decision]
+        actions = method.act(*context, batch.goal, noise, {})
+        error = (actions - batch.actions[:, decision]).square().mean()
     return {"validation_loss": loss.item(), "validation_error": error.item()}
 
 

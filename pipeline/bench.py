@@ -7,9 +7,11 @@ quartiles in brackets.
 import multiprocessing
 import platform
 import resource
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,12 +21,13 @@ from beso import envs, optimizers
 from beso.data import play
 from beso.data.scaling import Scaling
 from beso.data.spec import Sizes, spec
-from beso.data.windows import Batch, Windows
+from beso.data.windows import Batch
 from beso.methods import c_beso
 from beso.networks.transformer import TransformerConfig
 from beso.noise import BatchNoise
 from beso.rollout import Agent
-from beso.training_config import TrainingConfig
+from beso.training import train
+from beso.training_config import TrainingJob
 from pipeline import params as parameters
 from pipeline import paths
 from pipeline.latency import build, time_calls
@@ -57,7 +60,7 @@ def main() -> None:
     for name, (model, size) in sizes.items():
         _training(name, model, size, peak)
     _rollouts(training.model, sampling, paper.evaluation.chunk, cores)
-    _memory(training, sampling, paper.evaluation.chunk)
+    _memory(paper.job(ENVIRONMENT, "c_beso", 1), sampling, paper.evaluation.chunk)
 
 
 def _quartiles(values: list[float], unit: str) -> str:
@@ -183,29 +186,24 @@ def _play(model: c_beso.Config, sampling: Any, count: int, steps: int, threads: 
     return start, end
 
 
-def _memory(training: TrainingConfig, sampling: Any, chunk: int) -> None:
-    """Peak resident size of a training worker at the paper's size and batch, and of an evaluation worker."""
+def _memory(job: TrainingJob, sampling: Any, chunk: int) -> None:
+    """Peak resident size of a worker of a short training at the paper's size and batch, and of an evaluation worker."""
     context = multiprocessing.get_context("spawn")
     for name, function, arguments in (
-        ("training worker", _train_briefly, (training,)),
-        (f"evaluation worker, {chunk} environments", _play_briefly, (training.model, sampling, chunk)),
+        ("training worker", _train_briefly, (job,)),
+        (f"evaluation worker, {chunk} environments", _play_briefly, (job.config.model, sampling, chunk)),
     ):
         with context.Pool(1) as pool:
             print(f"peak memory, {name}: {pool.apply(function, arguments) / 2**20:.2f} GiB")
 
 
-def _train_briefly(training: TrainingConfig) -> int:
+def _train_briefly(job: TrainingJob) -> int:
     torch.set_num_threads(1)
+    few = replace(job.config, optimization=replace(job.config.optimization, steps=5))
     environment_spec = spec(ENVIRONMENT)
-    method = build("c_beso", training.model, None, environment_spec.sizes).train()
-    draws = torch.Generator().manual_seed(0)
     dataset = play.load(paths.play(ENVIRONMENT), environment_spec)
-    episodes = np.arange(len(dataset))
-    scaling = Scaling.fit(dataset, episodes, environment_spec)
-    windows = Windows(dataset, episodes, scaling, training.model.window, environment_spec.goal_window)
-    update = _updates(method, draws)
-    for _ in range(2):
-        update(windows.sample(training.optimization.batch_size, draws))
+    with tempfile.TemporaryDirectory() as folder:
+        train(replace(job, config=few), dataset, environment_spec, torch.device("cpu"), Path(folder) / "state", 0.0)
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 

@@ -71,12 +71,13 @@ class Windows:
         goal_at_end: bool = False,
     ) -> None:
         starts, ends = dataset.episode_starts[episodes], dataset.episode_ends[episodes]
-        room = ends - starts - window - goal_window + 1  # windows of each episode
+        goal_room = 0 if goal_at_end else goal_window
+        room = ends - starts - window - goal_room + 1  # windows of each episode
         if room.min() <= 0:
             shortest = int((ends - starts).min())
             raise UserError(
                 f"window = {window}: the shortest episode has {shortest} steps, room for a window of at most"
-                f" {shortest - goal_window} before a goal of {goal_window}"
+                f" {shortest - goal_room}" + (f" before a goal of {goal_room}" if goal_room else "")
             )
         first_of_episode = np.repeat(starts - np.concatenate([[0], np.cumsum(room)[:-1]]), room)
         self.window, self.goal_window, self.goal_at_end = window, goal_window, goal_at_end

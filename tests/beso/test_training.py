@@ -255,22 +255,42 @@ def test_a_job_is_plain_data_for_json_and_fingerprints(make_job):
     assert values["config"]["optimization"]["optimizer"] == "adam"
 
 
-def test_trains_where_no_simulator_is_installed():
-    """A GPU machine may have torch and numpy alone."""
+def test_the_average_remembers_no_updates(run, make_job, monkeypatch):
+    """Nothing of one update may stay in memory after the next."""
+    validate, gradients = training._validate, []
+
+    def noted(averaged, *arguments):
+        gradients.extend(parameter.requires_grad for parameter in averaged.parameters())
+        return validate(averaged, *arguments)
+
+    monkeypatch.setattr(training, "_validate", noted)
+    run(make_job("c_beso"))
+    assert gradients
+    assert not any(gradients)
+
+
+def test_a_goal_at_the_windows_end_is_validated_from_the_windows_start(run, make_job, monkeypatch):
+    decisions, validate = [], training._validate
+    monkeypatch.setattr(training, "_validate", lambda *a: decisions.append(a[2]) or validate(*a))
+    run(make_job("lmp"))
+    run(make_job("c_beso"))
+    assert set(decisions) == {0, 2}
+
+
+def test_imports_where_little_is_installed():
+    """A GPU machine may have torch, numpy, safetensors and tqdm alone; only C-BeT's clusters need scikit-learn."""
     code = """
 import sys
 
-class Blocked:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {"gymnasium", "gymnasium_robotics", "pybullet", "pybullet_data", "mujoco", "dvc"}:
-            raise ImportError(name + " is not here")
+import numpy.random, safetensors.torch, torch, tqdm
 
-sys.meta_path.insert(0, Blocked())
+before = set(sys.modules)
 from beso import checkpoint, methods, training
 for name in methods.names():
     methods.load(name)
-print("imported", len(methods.names()))
+new = {name.split(".")[0] for name in set(sys.modules) - before} - set(sys.stdlib_module_names)
+print(sorted(new - {"torch", "numpy"}), len(methods.names()))
 """
     root = Path(beso.__file__).parent.parent
     result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
-    assert result.stdout == f"imported {len(methods.names())}\n", result.stderr
+    assert result.stdout == f"['beso'] {len(methods.names())}\n", result.stderr
