@@ -17,7 +17,7 @@ from beso import checkpoint, envs
 from beso.data import play
 from beso.data.scaling import CLIP, Scaling
 from beso.data.spec import spec
-from beso.evaluation import Chunk, EvaluationConfig
+from beso.evaluation_config import Chunk, EvaluationConfig
 from beso.memory import Memory
 from beso.noise import EpisodeNoise, Noise
 from beso.seeding import generator, integer_seed

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from beso.evaluation import Chunk, EvaluationConfig, chunks
+from beso.evaluation_config import Chunk, EvaluationConfig, chunks
 from beso.files import replacing, write_json, write_text
 from beso.rollout import evaluate_chunk
 from beso.training_config import TrainingJob

@@ -16,7 +16,7 @@ from beso import methods
 from beso.config import build, require
 from beso.data.spec import spec
 from beso.errors import UserError
-from beso.evaluation import EvaluationConfig
+from beso.evaluation_config import EvaluationConfig
 from beso.training_config import TrainingConfig, TrainingJob, ValidationConfig
 
 PATH = Path("params.yaml")
@@ -24,7 +24,7 @@ PATH = Path("params.yaml")
 
 @dataclass(frozen=True)
 class Machine:
-    """What the machine offers. No stage reruns for it; of results, only rounding and draws depend on `device`."""
+    """What the machine offers. Only the page reruns for it; of results, only rounding and draws depend on `device`."""
 
     workers: int
     device: Literal["auto", "cpu", "cuda"]

@@ -6,7 +6,7 @@ from beso import checkpoint, methods
 from beso.config import build
 from beso.data import play
 from beso.data.scaling import CLIP, Scaling
-from beso.evaluation import Chunk, EvaluationConfig, chunks
+from beso.evaluation_config import Chunk, EvaluationConfig, chunks
 from beso.noise import EpisodeNoise
 from beso.rollout import Agent, evaluate_chunk
 from beso.training import split, train
@@ -121,6 +121,34 @@ def test_rows_say_what_was_played(trained, sampling, spec):
         assert row["goal_tasks"] == " ".join(map(str, dataset.completed(row["goal_demonstration"])))
         assert row["result"] in (0, 0.5, 1)
         assert row["goal_distance"] > 0
+
+
+def test_a_policy_gets_the_goals_of_its_episodes(trained, sampling, spec, monkeypatch):
+    """The demonstration's last state, its blocks exchanged where the targets lie the other way round."""
+    from beso.envs.block_push import BlockPushEnv, evaluation_goal
+
+    starts, given = [], []
+    reset, act = BlockPushEnv.reset, Agent.act
+
+    def noted_reset(self, **keywords):
+        observation, info = reset(self, **keywords)
+        starts.append(observation)
+        return observation, info
+
+    def noted_act(self, observations, noise):
+        given.append(self.goal)
+        return act(self, observations, noise)
+
+    monkeypatch.setattr(BlockPushEnv, "reset", noted_reset)
+    monkeypatch.setattr(Agent, "act", noted_act)
+    rows = evaluate_chunk(*trained, sampling, CONFIG, Chunk("training", 0, 8), "cpu")
+    dataset = play.load(trained[1], spec)
+    scaling = Scaling.fit(dataset, split(trained[3], len(dataset))[0], spec)
+    last = [dataset.observations[dataset.episode_ends[row["goal_demonstration"]] - 1][None] for row in rows]
+    expected = np.stack([evaluation_goal(state, start) for state, start in zip(last, starts, strict=True)])
+    assert any(not np.array_equal(goal, state) for goal, state in zip(expected, last, strict=True))
+    assert torch.equal(given[0], scaling.goals(torch.from_numpy(expected.astype(np.float32))))
+    assert torch.equal(given[-1], given[0])
 
 
 def test_the_same_chunk_gives_the_same_rows_filmed_or_not(trained, sampling):
