@@ -92,11 +92,11 @@ class Method(nn.Module):
         return (predicted.float() - eps).square().mean()
 
     def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise, memory: Memory) -> Tensor:
-        """(B, T, O), (B, T-1, A), (B, G, O) -> (B, A). Previous actions stay as executed."""
+        """(B, T, O), (B, T-1, A), (B, G, O) -> (B, A). Previous actions are shrunk as in training, but not noised."""
         a = noise.normal(1, actions.shape[-1])
-        for t, scale, slope, std in self._updates:
+        for t, shrink, scale, slope, std in self._updates:
             level = a.new_full((len(a),), t / self.length)
-            eps = self.network(torch.cat([actions, a], dim=1), level, observations, goal, last_only=True)
+            eps = self.network(torch.cat([shrink * actions, a], dim=1), level, observations, goal, last_only=True)
             a = scale * (a - slope * eps)
             if std:
                 a = a + std * noise.normal(*a.shape[1:])
@@ -109,7 +109,7 @@ def signal_shares(steps: int, beta_min: float, beta_max: float) -> Tensor:
     return torch.cat([alphas.new_ones(1), alphas.cumprod(0)])
 
 
-def ancestral_updates(alpha_bar: list[float], steps: int) -> list[tuple[int, float, float, float]]:
+def ancestral_updates(alpha_bar: list[float], steps: int) -> list[tuple[int, float, float, float, float]]:
     """The steps of ancestral sampling, a <- scale (a - slope eps) + std z (Ho et al. 2020, Alg. 2), from T to 0.
 
     With alpha = alpha_bar[t] / alpha_bar[next t], which is 1 - beta where no step is left out: scale = alpha^(-1/2),
@@ -121,7 +121,7 @@ def ancestral_updates(alpha_bar: list[float], steps: int) -> list[tuple[int, flo
         steps: how many of the T steps to take, evenly chosen, the last always T.
 
     Returns:
-        t, scale, slope and std of each step.
+        t, sqrt(alpha_bar[t]), scale, slope and std of each step.
     """
     length = len(alpha_bar) - 1
     steps = min(steps, length)
@@ -131,5 +131,5 @@ def ancestral_updates(alpha_bar: list[float], steps: int) -> list[tuple[int, flo
         alpha = alpha_bar[t] / alpha_bar[to]
         slope = (1 - alpha) / math.sqrt(1 - alpha_bar[t])
         std = math.sqrt((1 - alpha) * (1 - alpha_bar[to]) / (1 - alpha_bar[t]))
-        updates.append((t, 1 / math.sqrt(alpha), slope, std))
+        updates.append((t, math.sqrt(alpha_bar[t]), 1 / math.sqrt(alpha), slope, std))
     return updates

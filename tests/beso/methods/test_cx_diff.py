@@ -21,8 +21,9 @@ def test_the_full_chain_is_ho_et_als():
     shares = cx_diff.signal_shares(10, 1e-4, 0.5)
     updates = cx_diff.ancestral_updates(shares.tolist(), 10)
     assert [t for t, *_ in updates] == list(range(10, 0, -1))
-    for t, scale, slope, std in updates:
+    for t, shrink, scale, slope, std in updates:
         beta, share = betas[t - 1].item(), torch.prod(1 - betas[:t]).item()
+        assert shrink == pytest.approx(math.sqrt(share))
         assert scale == pytest.approx(1 / math.sqrt(1 - beta))
         assert slope == pytest.approx(beta / math.sqrt(1 - share))
         before = torch.prod(1 - betas[: t - 1]).item()
@@ -35,7 +36,7 @@ def test_the_full_chain_is_ho_et_als():
 def test_fewer_steps_are_evenly_chosen(steps, levels):
     updates = cx_diff.ancestral_updates(cx_diff.signal_shares(10, 1e-4, 0.5).tolist(), steps)
     assert [t for t, *_ in updates] == levels
-    assert updates[-1][3] == 0
+    assert updates[-1][-1] == 0
 
 
 @pytest.mark.parametrize(("steps", "extra"), [(None, 0), (None, 8), (3, 0), (3, 2)])
@@ -51,6 +52,20 @@ def test_network_calls_are_the_steps_and_the_extra_steps(steps, extra):
     method.act(observations, actions[:, :-1], goal, BatchNoise(2, torch.Generator().manual_seed(0)), {})
     assert len(levels) == (steps or 10) + extra
     assert levels[len(levels) - extra :] == pytest.approx([0.1] * extra), "extra steps are at the lowest level"
+
+
+def test_previous_actions_are_shrunk_as_in_training_but_not_noised():
+    method, seen = make(), []
+
+    def network(actions, level, observations, goal, last_only):
+        seen.append(actions[:, :-1].clone())
+        return torch.zeros_like(actions[:, -1:])
+
+    method.network.forward = network
+    observations, actions, goal, *_ = batch(2, 3)
+    method.act(observations, actions[:, :-1], goal, BatchNoise(2, torch.Generator().manual_seed(0)), {})
+    for previous, share in zip(seen, method.alpha_bar.flip(0), strict=False):
+        assert torch.allclose(previous, share.sqrt() * actions[:, :-1])
 
 
 @pytest.mark.parametrize("steps", [None, 3])
