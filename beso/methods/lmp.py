@@ -20,7 +20,7 @@ from torch.nn import functional
 from beso.config import require
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
-from beso.memory import Memory
+from beso.memory import Memory, replans
 from beso.networks import logistic_mixture
 from beso.networks.layers import dropout
 from beso.networks.mlp import MLP
@@ -173,12 +173,11 @@ class Method(nn.Module):
         prior = self._plan_prior(current, goal)
         fresh = prior.mean + prior.std * noise.normal(self.config.plan)
         silent = fresh.new_zeros(len(fresh), self.config.decoder_layers, self.config.decoder_width)
-        step = memory.get("step", torch.zeros(len(fresh), 1, dtype=torch.long, device=fresh.device))
-        replans = step % self.replan == 0
-        plan = torch.where(replans, fresh, memory.get("plan", fresh))
-        hidden = torch.where(replans[..., None], silent, memory.get("hidden", silent))
+        due = replans(memory, self.replan, current)
+        plan = torch.where(due, fresh, memory.get("plan", fresh))
+        hidden = torch.where(due[..., None], silent, memory.get("hidden", silent))
         mixture, hidden = self._decode(current[:, None], plan, goal, hidden)
-        memory.update(step=step + 1, plan=plan, hidden=hidden)
+        memory.update(plan=plan, hidden=hidden)
         one = logistic_mixture.LogisticMixture(*(part[:, 0] for part in mixture))
         return logistic_mixture.sample(one, noise.uniform(action_size, 2))
 

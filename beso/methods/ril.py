@@ -13,7 +13,7 @@ from torch.nn import functional
 from beso.config import require
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
-from beso.memory import Memory
+from beso.memory import Memory, replans
 from beso.networks.mlp import MLP
 from beso.noise import Noise
 
@@ -91,7 +91,6 @@ class Method(nn.Module):
         """(B, T, O), (B, T-1, A), (B, G, O) -> (B, A)."""
         state = observations[:, -1]
         proposed = self._propose(state, goal)
-        step = memory.get("step", torch.zeros(len(state), 1, dtype=torch.long, device=state.device))
-        sub_goal = torch.where(step % self.replan == 0, proposed, memory.get("sub_goal", proposed))
-        memory.update(step=step + 1, sub_goal=sub_goal)
+        sub_goal = torch.where(replans(memory, self.replan, state), proposed, memory.get("sub_goal", proposed))
+        memory["sub_goal"] = sub_goal
         return self.low(torch.cat([state, sub_goal], dim=1))
