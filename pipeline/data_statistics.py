@@ -15,6 +15,7 @@ PUBLISHED = {  # measured on the published block-push actions and masks (Cui et 
         "longest (steps)": 201,
         "mean action size (m)": 0.01899,
         "share of actions of 0.03 m": 0.305,
+        "share ended by success": 0.981,
     }
 }
 FULL_STEP = 0.03  # m; the speed limit of most of the demonstrator's phases
@@ -23,7 +24,6 @@ FULL_STEP = 0.03  # m; the speed limit of most of the demonstrator's phases
 def statistics(dataset: PlayDataset, spec: PlaySpec) -> dict[str, float]:
     """Size, lengths and action statistics of a block-push dataset."""
     sizes = np.linalg.norm(dataset.actions, axis=1)
-    complete = [len(dataset.completed(i)) == spec.demonstration_tasks for i in range(len(dataset))]
     return {
         "demonstrations": len(dataset),
         "steps": len(dataset.actions),
@@ -32,7 +32,7 @@ def statistics(dataset: PlayDataset, spec: PlaySpec) -> dict[str, float]:
         "longest (steps)": int(dataset.lengths.max()),
         "mean action size (m)": float(sizes.mean()),
         "share of actions of 0.03 m": float(np.mean(np.abs(sizes - FULL_STEP) < 1e-6)),
-        "share of complete demonstrations": float(np.mean(complete)),
+        "share ended by success": float(np.mean(dataset.lengths < spec.longest)),  # others run into the limit
     }
 
 

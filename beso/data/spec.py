@@ -1,4 +1,4 @@
-"""What a policy needs to know of an environment: sizes, visible dimensions, masked goal dimensions, horizons.
+"""What a policy needs to know of an environment: sizes, visible dimensions, masked goal dimensions.
 
 Pure data, so that training runs where no simulator is installed.
 """
@@ -28,8 +28,7 @@ class PlaySpec:
         goal_masked: positions within `visible` that are zeroed (after scaling) in every goal.
         goal_window: number of consecutive states in a goal.
         tasks: names of the tasks whose first completion is labelled in the data.
-        demonstration_tasks: how many tasks a complete demonstration does.
-        longest: the largest number of steps in an episode of the published data set.
+        longest: the largest number of steps in an episode; one that succeeds is shorter.
     """
 
     name: str
@@ -39,7 +38,6 @@ class PlaySpec:
     goal_masked: tuple[int, ...]
     goal_window: int
     tasks: tuple[str, ...]
-    demonstration_tasks: int
     longest: int
 
     @property
@@ -57,7 +55,6 @@ SPECS = {
         goal_masked=(2, 5, 6, 7, 8, 9),  # a goal is the places of the two blocks, not their yaw nor the robot
         goal_window=1,
         tasks=("block 1 to target 1", "block 1 to target 2", "block 2 to target 1", "block 2 to target 2"),
-        demonstration_tasks=2,
         longest=201,
     )
 }
