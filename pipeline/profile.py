@@ -56,7 +56,19 @@ def _merge(values: Any, changes: Any, where: str) -> None:
         if isinstance(value, dict) and isinstance(values[key], dict):
             _merge(values[key], value, f"{where}.{key}")
         else:
+            if key != "profile":
+                _note(values, key)
             values[key] = value
+
+
+def _note(values: Any, key: str) -> None:
+    """Put the complete profile's value into the comment of a leaf that changes."""
+    comment = values.ca.items.get(key)
+    existing, _, following = comment[2].value.partition("\n") if comment and comment[2] else ("", "", "")
+    old = "null" if values[key] is None else values[key]
+    note = f"{old} in profile {COMPLETE}" + existing.replace("#", ";", 1)
+    values.yaml_add_eol_comment(note, key)
+    values.ca.items[key][2].value += "\n" + following
 
 
 def main(name: str) -> None:

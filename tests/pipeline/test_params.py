@@ -25,8 +25,8 @@ def test_committed_params_are_the_quick_profile():
     assert params.PATH.read_text() == profile.render("quick")
 
 
-def test_profiles_keep_the_comments():
-    assert "# [T] hidden dimension" in profile.render("cpu")
+def test_profiles_keep_the_comments_and_name_the_papers_values():
+    assert "96  # 240 in profile paper; [T] hidden dimension" in profile.render("cpu")
 
 
 def test_paper_profile_has_the_papers_numbers():
