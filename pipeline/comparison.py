@@ -89,8 +89,8 @@ def _beside(ours: Estimate, theirs: pd.Series) -> dict[str, float | str]:
 def verdict(difference: float, half_width: float, maximum: float) -> str:
     """In one word, or two, what a difference with a 95 % interval of +- half_width says.
 
-    "better" or "worse" outside of the interval; within it "same" if the interval is narrow, else "cannot tell".
+    "better" or "worse" if the interval leaves out zero; else "same" if all of it is small, or "cannot tell".
     """
     if abs(difference) > half_width:
         return "better" if difference > 0 else "worse"
-    return "same" if half_width <= SMALL * maximum else "cannot tell"
+    return "same" if abs(difference) + half_width <= SMALL * maximum else "cannot tell"

@@ -57,7 +57,13 @@ def test_one_seed_has_no_deviation_and_the_errors_of_episodes_and_of_another_sou
 
 @pytest.mark.parametrize(
     ("difference", "half_width", "expected"),
-    [(-0.3, 0.2, "worse"), (0.3, 0.2, "better"), (0.01, 0.04, "same"), (0.01, 0.2, "cannot tell")],
+    [
+        (-0.3, 0.2, "worse"),
+        (0.3, 0.2, "better"),
+        (0.01, 0.03, "same"),
+        (0.03, 0.04, "cannot tell"),
+        (0.01, 0.2, "cannot tell"),
+    ],
 )
 def test_verdicts(difference, half_width, expected):
     assert verdict(difference, half_width, maximum=1.0) == expected
