@@ -1,8 +1,8 @@
 """The fork: two right actions in one state, to see who keeps both.
 
 State and goal never change; half of the demonstrated actions go left, half right. A policy that can represent several
-modes draws from both, one that cannot averages them into an action that nobody demonstrated. The networks are small and
-the training short, whatever the profile.
+modes draws from both, one that cannot averages them into an action that nobody demonstrated. The networks are small
+in every profile, and the training short.
 """
 
 from typing import Any

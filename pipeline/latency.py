@@ -12,6 +12,7 @@ import torch
 
 from beso import methods
 from beso.data.spec import Sizes, spec
+from beso.memory import Memory
 from beso.noise import BatchNoise
 from pipeline import params as parameters
 from pipeline.params import Params
@@ -54,7 +55,8 @@ def time_calls(policy: Any, window: int, sizes: Sizes, batch: int, repeats: int)
     observations = torch.randn(batch, window, sizes.observation, generator=draws)
     actions = torch.randn(batch, window - 1, sizes.action, generator=draws)
     goal = torch.randn(batch, sizes.goal_window, sizes.observation, generator=draws)
-    noise, memory = BatchNoise(batch, draws), {}  # type: ignore[var-annotated]
+    noise = BatchNoise(batch, draws)
+    memory: Memory = {}
     times = []
     with torch.inference_mode():
         for i in range(WARM_UP + repeats):

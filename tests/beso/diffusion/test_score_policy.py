@@ -1,6 +1,7 @@
 """ScorePolicy around networks whose denoiser is known."""
 
 import math
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -8,6 +9,9 @@ import torch
 from torch import nn
 
 from beso.data.windows import Batch
+from beso.diffusion.densities import DENSITIES
+from beso.diffusion.samplers import SAMPLERS
+from beso.diffusion.schedules import SCHEDULES
 from beso.diffusion.score_policy import DiffusionConfig, SamplingConfig, ScorePolicy, validation_sampling
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
 from beso.noise import BatchNoise, EpisodeNoise
@@ -291,3 +295,15 @@ def test_impossible_sampling_is_refused():
 
 def test_validation_uses_the_papers_default_sampler_over_the_training_range():
     assert validation_sampling(DIFFUSION) == SamplingConfig("ddim", "exponential", 3, 0.05, 1.0, "clean")
+
+
+@pytest.mark.parametrize(
+    ("config", "field", "functions"),
+    [
+        (DiffusionConfig, "density", DENSITIES),
+        (SamplingConfig, "sampler", SAMPLERS),
+        (SamplingConfig, "schedule", SCHEDULES),
+    ],
+)
+def test_parameters_name_every_function_there_is(config, field, functions):
+    assert set(get_args(get_type_hints(config)[field])) == set(functions)
