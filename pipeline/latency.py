@@ -18,7 +18,7 @@ from pipeline import params as parameters
 from pipeline.params import Params
 from pipeline.profile import COMPLETE, FOLDER
 
-WARM_UP = 3
+WARM_UP = 1  # calls that do not count
 
 
 def measure(params: Params) -> pd.DataFrame:
@@ -50,7 +50,7 @@ def build(method: str, config: Any, sampling: Any, sizes: Sizes) -> Any:
 
 
 def time_calls(policy: Any, window: int, sizes: Sizes, batch: int, repeats: int) -> list[float]:
-    """Milliseconds of `repeats` calls of `act`, after a few that do not count."""
+    """Milliseconds of `repeats` calls of `act`, after one that does not count."""
     draws = torch.Generator().manual_seed(0)
     observations = torch.randn(batch, window, sizes.observation, generator=draws)
     actions = torch.randn(batch, window - 1, sizes.action, generator=draws)
