@@ -84,7 +84,7 @@ def fork_samples(params: Params) -> Figure:
 
 
 def training_curves(params: Params, environment: str) -> Figure:
-    """Held-out error of the last action against training steps, a line a seed."""
+    """Held-out error of generated actions against training steps, a line a seed."""
     figure = Figure(figsize=(3.5, 2.4), layout="constrained")
     axis = figure.subplots()
     for method, colour in zip(params.grid.methods, itertools.cycle(METHOD_COLOURS)):

@@ -45,7 +45,7 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
                 f"scores_{name}", f"{title}: reward and result beside the paper's; lines are one standard deviation."
             ),
             _figure(
-                f"training_{name}", f"{title}: squared error of the last action on held-out windows, a line a seed."
+                f"training_{name}", f"{title}: squared error of actions generated on held-out windows, a line a seed."
             ),
         ]
     figures.append(
