@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from beso import checkpoint, envs
+from beso import checkpoint, envs, methods
 from beso.data import play
 from beso.data.scaling import CLIP, Scaling
 from beso.data.spec import spec
@@ -108,7 +108,8 @@ def evaluate_chunk(
         goals.append(
             module.evaluation_goal(dataset.observations[end - environment_spec.goal_window : end], observation)
         )
-    agent = Agent(method, job.config.model.window, scaling, np.stack(goals), device)
+    length = methods.context_length(job.config.model, sampling)
+    agent = Agent(method, length, scaling, np.stack(goals), device)
     noise = EpisodeNoise([generator(config.seed, noise_role, job.seed, i) for i in numbers], device)
 
     # Play

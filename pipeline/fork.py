@@ -46,7 +46,7 @@ _SAMPLING: dict[str, Any] = {
     "sigma_min": 0.05,
     "sigma_max": 1.0,
 }
-_SAMPLING |= {"context": "clean"}
+_SAMPLING |= {"context": "clean", "context_length": None}
 _LMP: dict[str, Any] = {
     "window": 1,
     "plan": 4,
@@ -72,7 +72,7 @@ MODELS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     ),
     "cx_diff": (
         {"transformer": _TRANSFORMER, "diffusion_steps": 20, "beta_min": 1e-4, "beta_max": 0.4},
-        {"steps": None, "extra_steps": 8},
+        {"steps": None, "extra_steps": 8, "context_length": None},
     ),
     "c_beso": ({"transformer": _TRANSFORMER, "diffusion": _DIFFUSION}, _SAMPLING),
     "cfg_beso": (

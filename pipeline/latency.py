@@ -33,10 +33,11 @@ def measure(params: Params) -> pd.DataFrame:
         sizes = spec(environment).sizes
         for method in params.grid.methods:
             model = paper.methods[method].train[environment].model
-            policy = build(method, model, paper.sampling(environment, method), sizes)
+            sampling = paper.sampling(environment, method)
+            policy, length = build(method, model, sampling, sizes), methods.context_length(model, sampling)
             count = sum(p.numel() for p in policy.parameters())
             for batch in params.latency.batches:
-                times = time_calls(policy, model.window, sizes, batch, params.latency.repeats)
+                times = time_calls(policy, length, sizes, batch, params.latency.repeats)
                 q1, median, q3 = np.percentile(times, [25, 50, 75]).round(3)
                 row = {"environment": environment, "method": method, "parameters": count, "batch": batch}
                 rows.append({**row, "median_ms": median, "q1_ms": q1, "q3_ms": q3})

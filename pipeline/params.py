@@ -191,6 +191,13 @@ def parse(values: Any, where: str) -> Params:
         )
         for name, block in params.methods.items()
     }
+    for name, block in checked.items():
+        for environment in block.train.keys() & block.sample.keys():
+            model = block.train[environment].model
+            length = methods.context_length(model, block.sample[environment])
+            if length > model.window:
+                key = f"{where}.methods.{name}.sample.{environment}.context_length"
+                raise UserError(f"{key} = {length}: must be at most the model's window, {model.window}")
     for environment in [*params.grid.envs, *params.collect]:
         spec(environment)
     for environment in params.grid.envs:

@@ -61,6 +61,7 @@ class SamplingConfig:
         sigma_min, sigma_max: range of the schedule.
         context: "clean" keeps the previous actions as executed; "published" pushes them through the sampler together
             with the new one, as the published code does (facts in docs/fidelity.md).
+        context_length: time steps of the context in rollouts; null takes the training window.
     """
 
     sampler: Literal[
@@ -79,9 +80,14 @@ class SamplingConfig:
     sigma_min: float
     sigma_max: float
     context: Literal["clean", "published"]
+    context_length: int | None
 
     def __post_init__(self) -> None:
         require(self.steps >= 1, f"steps = {self.steps}: must be at least 1")
+        require(
+            self.context_length is None or self.context_length >= 1,
+            f"context_length = {self.context_length}: must be at least 1",
+        )
         _check_range(self.sigma_min, self.sigma_max)
         SCHEDULES[self.schedule](self.steps, self.sigma_min, self.sigma_max)  # some refuse too many steps
 
@@ -98,7 +104,7 @@ def _scales_of_one(sigma: float, sigma_data: float) -> list[float]:
 
 def validation_sampling(diffusion: DiffusionConfig) -> SamplingConfig:
     """The paper's default sampler over the training range; validation errors are measured with it."""
-    return SamplingConfig("ddim", "exponential", 3, diffusion.sigma_min, diffusion.sigma_max, "clean")
+    return SamplingConfig("ddim", "exponential", 3, diffusion.sigma_min, diffusion.sigma_max, "clean", None)
 
 
 class ScorePolicy(nn.Module):

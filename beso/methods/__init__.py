@@ -4,7 +4,7 @@ A module defines
 
     Config       what shapes the network (`methods.<name>.train.<env>.model`); has a `window`, the longest context, and
                  may have `lookahead` and `goal_at_end` (see beso.data.windows)
-    Sampling     what only action generation needs (`methods.<name>.sample.<env>`)
+    Sampling     what only action generation needs (`methods.<name>.sample.<env>`); may have a `context_length`
     Method       the policy
 
 Modules are imported by name, so that a pipeline cell depends on its own method's file and on no other's.
@@ -45,6 +45,11 @@ class Method(Protocol):
 
     def state_dict(self) -> dict[str, Tensor]:
         """Weights by name."""
+
+
+def context_length(config: Any, sampling: Any) -> int:
+    """Time steps of the context in rollouts, from a method's Config and Sampling: the training window or fewer."""
+    return getattr(sampling, "context_length", None) or config.window
 
 
 def names() -> list[str]:

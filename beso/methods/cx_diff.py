@@ -54,14 +54,20 @@ class Sampling:
     Attributes:
         steps: of the chain, evenly chosen where they are fewer than the training's; null takes all.
         extra_steps: X, further steps at the lowest noise level, without noise.
+        context_length: time steps of the context in rollouts; null takes the training window.
     """
 
     steps: int | None
     extra_steps: int
+    context_length: int | None
 
     def __post_init__(self) -> None:
         require(self.steps is None or self.steps >= 1, f"steps = {self.steps}: must be at least 1")
         require(self.extra_steps >= 0, f"extra_steps = {self.extra_steps}: must not be negative")
+        require(
+            self.context_length is None or self.context_length >= 1,
+            f"context_length = {self.context_length}: must be at least 1",
+        )
 
 
 class Method(nn.Module):
@@ -72,7 +78,7 @@ class Method(nn.Module):
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()
         self.network = ScoreTransformer(config.transformer, *sizes, generator=generator)
-        self.sampling = sampling or Sampling(steps=None, extra_steps=0)
+        self.sampling = sampling or Sampling(steps=None, extra_steps=0, context_length=None)
         self.length = config.diffusion_steps
         alpha_bar = signal_shares(self.length, config.beta_min, config.beta_max)
         self.register_buffer("alpha_bar", alpha_bar.float(), persistent=False)

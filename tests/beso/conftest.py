@@ -34,6 +34,7 @@ SAMPLING = {
     "sigma_min": 0.05,
     "sigma_max": 1.0,
     "context": "clean",
+    "context_length": None,
 }
 MODELS = {
     "gcbc": {"width": 32, "layers": 2, "dropout": 0.1},
@@ -76,7 +77,7 @@ SAMPLINGS = {
     "ril": {"replan": 2},
     "lmp": {"replan": 2},
     "c_bet": {},
-    "cx_diff": {"steps": None, "extra_steps": 2},
+    "cx_diff": {"steps": None, "extra_steps": 2, "context_length": None},
 }
 OPTIMIZATION = {
     "steps": 8,

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -149,6 +151,21 @@ def test_a_policy_gets_the_goals_of_its_episodes(trained, sampling, spec, monkey
     assert any(not np.array_equal(goal, state) for goal, state in zip(expected, last, strict=True))
     assert torch.equal(given[0], scaling.goals(torch.from_numpy(expected.astype(np.float32))))
     assert torch.equal(given[-1], given[0])
+
+
+@pytest.mark.parametrize(("context_length", "longest"), [(None, 3), (2, 2), (1, 1)])
+def test_a_context_may_be_shorter_than_the_training_window(trained, sampling, monkeypatch, context_length, longest):
+    lengths, act = [], Agent.act
+
+    def noted_act(self, observations, noise):
+        action = act(self, observations, noise)
+        lengths.append((self.observations.shape[1], self.actions.shape[1]))
+        return action
+
+    monkeypatch.setattr(Agent, "act", noted_act)
+    shorter = dataclasses.replace(sampling, context_length=context_length)
+    evaluate_chunk(*trained, shorter, CONFIG, Chunk("training", 0, 1), "cpu")
+    assert max(lengths) == (longest, longest - 1)
 
 
 def test_the_same_chunk_gives_the_same_rows_filmed_or_not(trained, sampling):

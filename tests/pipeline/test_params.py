@@ -54,8 +54,10 @@ IDDPM = {
     "sigma_min": 0.05,
     "sigma_max": 1.0,
     "context": "clean",
+    "context_length": None,
 }
 MODEL = ("methods", "c_beso", "train", "block_push", "model", "transformer")
+SAMPLE = ("methods", "c_beso", "sample", "block_push")
 OPTIMIZATION = ("methods", "gcbc", "train", "block_push", "optimization")
 
 
@@ -79,7 +81,13 @@ OPTIMIZATION = ("methods", "gcbc", "train", "block_push", "optimization")
         (("evaluation", "goals"), ["held_out"], r"goals = \['held_out'\]: must be \[training\]"),
         (("grid", "methods"), [], r"methods = \[\]: must be different, at least one"),
         ((*OPTIMIZATION, "learning_rate"), math.nan, r"learning_rate = nan: expected a finite number"),
-        (("methods", "c_beso", "sample", "block_push"), IDDPM, r"steps = 2000: iddpm has 471 levels"),
+        (
+            (*SAMPLE, "context_length"),
+            6,
+            r"c_beso\.sample\.block_push\.context_length = 6: must be at most .* window, 5",
+        ),
+        ((*SAMPLE, "context_length"), 0, r"context_length = 0: must be at least 1"),
+        (SAMPLE, IDDPM, r"steps = 2000: iddpm has 471 levels"),
     ],
 )
 def test_a_mistake_is_one_line_with_key_value_and_what_is_allowed(values, path, value, message):

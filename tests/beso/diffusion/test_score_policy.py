@@ -22,7 +22,7 @@ DIFFUSION = DiffusionConfig(SIGMA_DATA, 0.05, 1.0, "log_logistic", math.log(0.5)
 
 
 def sampling(sampler="ddim", steps=3, context="clean", sigma_min=0.05):
-    return SamplingConfig(sampler, "exponential", steps, sigma_min, 1.0, context)
+    return SamplingConfig(sampler, "exponential", steps, sigma_min, 1.0, context, None)
 
 
 class OptimalNetwork(nn.Module):
@@ -294,7 +294,7 @@ def test_impossible_sampling_is_refused():
 
 
 def test_validation_uses_the_papers_default_sampler_over_the_training_range():
-    assert validation_sampling(DIFFUSION) == SamplingConfig("ddim", "exponential", 3, 0.05, 1.0, "clean")
+    assert validation_sampling(DIFFUSION) == SamplingConfig("ddim", "exponential", 3, 0.05, 1.0, "clean", None)
 
 
 @pytest.mark.parametrize(

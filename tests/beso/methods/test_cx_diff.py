@@ -13,7 +13,9 @@ TRANSFORMER = TransformerConfig(16, 1, 2, 3, 0.0, 0.0, "sequential")
 
 def make(steps=None, extra_steps=0, length=10, beta_max=0.5):
     config = cx_diff.Config(TRANSFORMER, length, 1e-4, beta_max)
-    return cx_diff.Method(config, cx_diff.Sampling(steps, extra_steps), SIZES, torch.Generator().manual_seed(0)).eval()
+    return cx_diff.Method(
+        config, cx_diff.Sampling(steps, extra_steps, None), SIZES, torch.Generator().manual_seed(0)
+    ).eval()
 
 
 def test_the_full_chain_is_ho_et_als():
