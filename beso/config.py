@@ -87,3 +87,10 @@ def require(condition: bool, message: str) -> None:
     """Raise ValueError(message) unless the condition holds; for __post_init__ checks."""
     if not condition:
         raise ValueError(message)
+
+
+def require_positive(config: Any, *names: str) -> None:
+    """Raise ValueError unless each of these attributes is at least 1, or None where that is allowed."""
+    for name in names:
+        value = getattr(config, name)
+        require(value is None or value >= 1, f"{name} = {value}: must be at least 1")

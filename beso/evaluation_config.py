@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from beso.config import require
+from beso.config import require, require_positive
 
 GoalSet = Literal["training", "held_out"]
 
@@ -30,8 +30,7 @@ class EvaluationConfig:
 
     def __post_init__(self) -> None:
         require(self.seed >= 0, f"seed = {self.seed}: must not be negative")
-        require(self.rollouts >= 1, f"rollouts = {self.rollouts}: must be at least 1")
-        require(self.chunk >= 1, f"chunk = {self.chunk}: must be at least 1")
+        require_positive(self, "rollouts", "chunk")
         require(
             self.goals in (("training",), ("training", "held_out")),
             f"goals = {list(self.goals)}: must be [training] or [training, held_out]",

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from beso.config import require
+from beso.config import require, require_positive
 
 STEP_DECAY_EVERY, STEP_DECAY = 100, 0.99  # the published code's StepLR
 
@@ -33,8 +33,7 @@ class OptimizationConfig:
     precision: Literal["fp32", "bf16"]
 
     def __post_init__(self) -> None:
-        require(self.steps >= 1, f"steps = {self.steps}: must be at least 1")
-        require(self.batch_size >= 1, f"batch_size = {self.batch_size}: must be at least 1")
+        require_positive(self, "steps", "batch_size")
         require(self.learning_rate > 0, f"learning_rate = {self.learning_rate}: must be above 0")
         require(self.weight_decay >= 0, f"weight_decay = {self.weight_decay}: must not be negative")
         require(0 <= self.ema_decay < 1, f"ema_decay = {self.ema_decay}: must be in [0, 1)")
@@ -61,8 +60,7 @@ class ValidationConfig:
     windows: int
 
     def __post_init__(self) -> None:
-        require(self.every >= 1, f"every = {self.every}: must be at least 1")
-        require(self.windows >= 1, f"windows = {self.windows}: must be at least 1")
+        require_positive(self, "every", "windows")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from beso import methods
-from beso.config import build, require
+from beso.config import build, require, require_positive
 from beso.data.spec import spec
 from beso.errors import UserError
 from beso.evaluation_config import EvaluationConfig
@@ -80,7 +80,7 @@ class Latency:
     batches: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        require(self.repeats >= 1, f"repeats = {self.repeats}: must be at least 1")
+        require_positive(self, "repeats")
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,7 @@ class Fork:
     samples: int
 
     def __post_init__(self) -> None:
-        for name in ("updates", "samples"):
-            require(getattr(self, name) >= 1, f"{name} = {getattr(self, name)}: must be at least 1")
+        require_positive(self, "updates", "samples")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from beso.config import require
+from beso.config import require, require_positive
 from beso.data.windows import Batch
 from beso.diffusion.densities import DENSITIES
 from beso.diffusion.guidance import classifier_free
@@ -83,11 +83,7 @@ class SamplingConfig:
     context_length: int | None
 
     def __post_init__(self) -> None:
-        require(self.steps >= 1, f"steps = {self.steps}: must be at least 1")
-        require(
-            self.context_length is None or self.context_length >= 1,
-            f"context_length = {self.context_length}: must be at least 1",
-        )
+        require_positive(self, "steps", "context_length")
         _check_range(self.sigma_min, self.sigma_max)
         SCHEDULES[self.schedule](self.steps, self.sigma_min, self.sigma_max)  # some refuse too many steps
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from beso.config import require
+from beso.config import require, require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory
@@ -41,8 +41,7 @@ class Config:
     offset_weight: float
 
     def __post_init__(self) -> None:
-        for name in ("width", "layers", "heads", "window", "bins"):
-            require(getattr(self, name) >= 1, f"{name} = {getattr(self, name)}: must be at least 1")
+        require_positive(self, "width", "layers", "heads", "window", "bins")
         require(self.width % self.heads == 0, f"heads = {self.heads}: must divide width = {self.width}")
         require(0 <= self.dropout < 1, f"dropout = {self.dropout}: must be in [0, 1)")
         require(self.offset_weight > 0, f"offset_weight = {self.offset_weight}: must be above 0")

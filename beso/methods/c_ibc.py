@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from beso.config import require
+from beso.config import require, require_positive
 from beso.data.scaling import CLIP
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
@@ -39,8 +39,7 @@ class Config:
     gradient_penalty: float
 
     def __post_init__(self) -> None:
-        for name in ("width", "layers", "counter_examples"):
-            require(getattr(self, name) >= 1, f"{name} = {getattr(self, name)}: must be at least 1")
+        require_positive(self, "width", "layers", "counter_examples")
         for name in ("energy_penalty", "gradient_penalty"):
             require(getattr(self, name) >= 0, f"{name} = {getattr(self, name)}: must not be negative")
 
@@ -66,7 +65,7 @@ class Sampling:
     noise_shrink: float
 
     def __post_init__(self) -> None:
-        require(self.candidates >= 1, f"candidates = {self.candidates}: must be at least 1")
+        require_positive(self, "candidates")
         require(self.iterations >= 0, f"iterations = {self.iterations}: must not be negative")
         require(self.noise_scale > 0, f"noise_scale = {self.noise_scale}: must be above 0")
         require(0 < self.noise_shrink <= 1, f"noise_shrink = {self.noise_shrink}: must be in (0, 1]")

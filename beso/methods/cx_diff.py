@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from beso.config import require
+from beso.config import require, require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory
@@ -35,7 +35,7 @@ class Config:
     beta_max: float
 
     def __post_init__(self) -> None:
-        require(self.diffusion_steps >= 1, f"diffusion_steps = {self.diffusion_steps}: must be at least 1")
+        require_positive(self, "diffusion_steps")
         require(
             0 < self.beta_min <= self.beta_max < 1,
             f"beta_min = {self.beta_min}: must be above 0 and at most beta_max = {self.beta_max}, which is below 1",
@@ -62,12 +62,8 @@ class Sampling:
     context_length: int | None
 
     def __post_init__(self) -> None:
-        require(self.steps is None or self.steps >= 1, f"steps = {self.steps}: must be at least 1")
+        require_positive(self, "steps", "context_length")
         require(self.extra_steps >= 0, f"extra_steps = {self.extra_steps}: must not be negative")
-        require(
-            self.context_length is None or self.context_length >= 1,
-            f"context_length = {self.context_length}: must be at least 1",
-        )
 
 
 class Method(nn.Module):

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from beso.config import require
+from beso.config import require, require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory
@@ -32,8 +32,7 @@ class Config:
     dropout: float
 
     def __post_init__(self) -> None:
-        require(self.width >= 1, f"width = {self.width}: must be at least 1")
-        require(self.layers >= 1, f"layers = {self.layers}: must be at least 1")
+        require_positive(self, "width", "layers")
         require(0 <= self.dropout < 1, f"dropout = {self.dropout}: must be in [0, 1)")
 
     @property

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from beso.config import require
+from beso.config import require, require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory, replans
@@ -61,9 +61,8 @@ class Config:
     kl_beta: float
 
     def __post_init__(self) -> None:
-        positive = ("plan", "recognition_width", "recognition_layers", "recognition_heads", "prior_width")
-        for name in (*positive, "window", "prior_layers", "decoder_width", "decoder_layers", "mixtures"):
-            require(getattr(self, name) >= 1, f"{name} = {getattr(self, name)}: must be at least 1")
+        require_positive(self, "plan", "recognition_width", "recognition_layers", "recognition_heads", "prior_width")
+        require_positive(self, "window", "prior_layers", "decoder_width", "decoder_layers", "mixtures")
         require(
             self.recognition_width % self.recognition_heads == 0,
             f"recognition_heads = {self.recognition_heads}: must divide recognition_width = {self.recognition_width}",
@@ -90,7 +89,7 @@ class Sampling:
     replan: int
 
     def __post_init__(self) -> None:
-        require(self.replan >= 1, f"replan = {self.replan}: must be at least 1")
+        require_positive(self, "replan")
 
 
 class Gaussian(NamedTuple):

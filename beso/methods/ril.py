@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from beso.config import require
+from beso.config import require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory, replans
@@ -32,8 +32,7 @@ class Config:
     horizon: int
 
     def __post_init__(self) -> None:
-        for name in ("width", "layers", "horizon"):
-            require(getattr(self, name) >= 1, f"{name} = {getattr(self, name)}: must be at least 1")
+        require_positive(self, "width", "layers", "horizon")
 
     @property
     def window(self) -> int:
@@ -57,7 +56,7 @@ class Sampling:
     replan: int
 
     def __post_init__(self) -> None:
-        require(self.replan >= 1, f"replan = {self.replan}: must be at least 1")
+        require_positive(self, "replan")
 
 
 class Method(nn.Module):

@@ -17,7 +17,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from beso.config import require
+from beso.config import require, require_positive
 from beso.networks.blocks import Block, causal_mask
 from beso.networks.layers import initialise_normal
 
@@ -43,8 +43,7 @@ class TransformerConfig:
     conditioning: Literal["sequential", "film"]
 
     def __post_init__(self) -> None:
-        for name in ("width", "layers", "heads", "window"):
-            require(getattr(self, name) >= 1, f"{name} = {getattr(self, name)}: must be at least 1")
+        require_positive(self, "width", "layers", "heads", "window")
         require(self.width % self.heads == 0, f"heads = {self.heads}: must divide width = {self.width}")
         for name in ("attention_dropout", "residual_dropout"):
             require(0 <= getattr(self, name) < 1, f"{name} = {getattr(self, name)}: must be in [0, 1)")
