@@ -32,7 +32,7 @@ def statistics(dataset: PlayDataset, spec: PlaySpec) -> dict[str, float]:
         "longest (steps)": int(dataset.lengths.max()),
         "mean action size (m)": float(sizes.mean()),
         "share of actions of 0.03 m": float(np.mean(np.abs(sizes - FULL_STEP) < 1e-6)),
-        "share ended by success": float(np.mean(dataset.lengths < spec.longest)),  # others run into the limit
+        "share ended by success": float(dataset.succeeded(spec).mean()),
     }
 
 

@@ -27,7 +27,7 @@ def main(environment: str) -> None:
         meta = {"source": "scripted", "seed": configuration.seed, "versions": versions}
         dataset = play.assemble(episodes, environment_spec, meta)
     play.save(dataset, paths.play(environment))
-    success = (dataset.lengths < environment_spec.longest).mean()
+    success = dataset.succeeded(environment_spec).mean()
     print(f"{len(dataset)} demonstrations, {dataset.lengths.mean():.1f} steps on average, {success:.1%} successful")
 
 

@@ -56,6 +56,10 @@ class PlayDataset:
         """Steps of each episode, (episodes,)."""
         return self.episode_ends - self.episode_starts
 
+    def succeeded(self, spec: PlaySpec) -> np.ndarray:
+        """Which episodes ended by success and not by the limit of their length, (episodes,) booleans."""
+        return self.lengths < spec.longest
+
     def completed(self, episode: int) -> tuple[int, ...]:
         """Tasks completed in an episode, in order of their first completion."""
         steps, tasks = np.nonzero(self.tasks[self.episode_starts[episode] : self.episode_ends[episode]])
