@@ -125,23 +125,32 @@ def test_rows_say_what_was_played(trained, sampling, spec):
         assert row["goal_distance"] > 0
 
 
-def test_a_policy_gets_the_goals_of_its_episodes(trained, sampling, spec, monkeypatch):
-    """The demonstration's last state, its blocks exchanged where the targets lie the other way round."""
-    from beso.envs.block_push import BlockPushEnv, evaluation_goal
+@pytest.fixture
+def starts(monkeypatch):
+    """First observations of all episodes from now on."""
+    from beso.envs.block_push import BlockPushEnv
 
-    starts, given = [], []
-    reset, act = BlockPushEnv.reset, Agent.act
+    starts, original = [], BlockPushEnv.reset
 
-    def noted_reset(self, **keywords):
-        observation, info = reset(self, **keywords)
+    def reset(self, **keywords):
+        observation, info = original(self, **keywords)
         starts.append(observation)
         return observation, info
+
+    monkeypatch.setattr(BlockPushEnv, "reset", reset)
+    return starts
+
+
+def test_a_policy_gets_the_goals_of_its_episodes(trained, sampling, spec, starts, monkeypatch):
+    """The demonstration's last state, its blocks exchanged where the targets lie the other way round."""
+    from beso.envs.block_push import evaluation_goal
+
+    given, act = [], Agent.act
 
     def noted_act(self, observations, noise):
         given.append(self.goal)
         return act(self, observations, noise)
 
-    monkeypatch.setattr(BlockPushEnv, "reset", noted_reset)
     monkeypatch.setattr(Agent, "act", noted_act)
     rows = evaluate_chunk(*trained, sampling, CONFIG, Chunk("training", 0, 8), "cpu")
     dataset = play.load(trained[1], spec)
@@ -178,18 +187,8 @@ def test_the_same_chunk_gives_the_same_rows_filmed_or_not(trained, sampling):
     assert pictures[0].shape == (240, 320, 3)
 
 
-def test_every_method_meets_the_same_starts(trained, sampling, monkeypatch):
+def test_every_method_meets_the_same_starts(trained, sampling, starts):
     """The start is drawn from evaluation seed, goal set, model seed and episode alone, not from the chunk either."""
-    from beso.envs.block_push import BlockPushEnv
-
-    starts, original = [], BlockPushEnv.reset
-
-    def reset(self, **keywords):
-        observation, info = original(self, **keywords)
-        starts.append(observation)
-        return observation, info
-
-    monkeypatch.setattr(BlockPushEnv, "reset", reset)
     evaluate_chunk(*trained, sampling, CONFIG, Chunk("training", 0, 2), "cpu")
     evaluate_chunk(*trained, sampling, CONFIG, Chunk("training", 1, 2), "cpu")
     evaluate_chunk(*trained, sampling, CONFIG, Chunk("held_out", 1, 2), "cpu")

@@ -61,6 +61,7 @@ def test_one_seed_has_no_deviation_and_the_errors_of_episodes_and_of_another_sou
         (-0.3, 0.2, "worse"),
         (0.3, 0.2, "better"),
         (0.01, 0.03, "same"),
+        (0.01, 0.04, "same"),
         (0.03, 0.04, "cannot tell"),
         (0.01, 0.2, "cannot tell"),
     ],

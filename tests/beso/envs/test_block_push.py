@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from beso import envs
 from beso.envs.block_push import BlockPushEnv, evaluation_goal, result
 
 ARM, TOOL = 2, 3  # body numbers in the order of loading, after ground and work surface
@@ -136,3 +137,7 @@ def test_result_counts_the_goals_pairs_in_any_order():
 def test_bad_render_mode_is_refused():
     with pytest.raises(ValueError, match="'human' is not one of"):
         BlockPushEnv(render_mode="human")
+
+
+def test_environment_modules_load_by_name():
+    assert envs.load("block_push").MAX_ACTIONS == 299

@@ -25,8 +25,9 @@ CONFIG = {
 }
 
 
-def make(replan=3):
-    return lmp.Method(lmp.Config(**CONFIG), lmp.Sampling(replan), SIZES, torch.Generator().manual_seed(0)).eval()
+def make(replan=3, **changes):
+    config = lmp.Config(**{**CONFIG, **changes})
+    return lmp.Method(config, lmp.Sampling(replan), SIZES, torch.Generator().manual_seed(0)).eval()
 
 
 def gaussians(seed):
@@ -83,13 +84,15 @@ def test_the_decoder_in_single_steps_is_the_decoder_over_a_window():
 
 @pytest.mark.parametrize("kl_beta", [0.0, 0.01])
 def test_the_likelihood_teaches_recognition_and_only_the_divergence_the_prior(kl_beta):
-    config = lmp.Config(**{**CONFIG, "kl_beta": kl_beta})
-    method = lmp.Method(config, None, SIZES, torch.Generator().manual_seed(0))
-    data = batch(6, 4)
+    method, data = make(kl_beta=kl_beta), batch(6, 4)
     method.loss(data, torch.Generator().manual_seed(0)).backward()
     for part, learns in ((method.recognition, True), (method.prior, kl_beta > 0), (method.decoder, True)):
         gradients = [p.grad for p in part.parameters() if p.grad is not None]
         assert any((gradient != 0).any() for gradient in gradients) == learns
+
+
+def test_a_goal_is_the_windows_end():
+    assert lmp.Config(**CONFIG).goal_at_end
 
 
 @pytest.mark.parametrize("changes", [{"recognition_heads": 3}, {"classes": 1}, {"kl_beta": -1.0}, {"window": 0}])
