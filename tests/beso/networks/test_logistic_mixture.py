@@ -24,16 +24,15 @@ def test_probabilities_of_all_classes_add_up_to_one(classes):
     assert torch.allclose(probabilities.sum(dim=0), torch.ones(5, dtype=torch.float64), atol=1e-10)
 
 
-def test_a_class_has_the_mass_of_the_logistic_distributions_between_its_borders():
+def test_a_number_has_the_mass_of_the_logistic_distributions_around_it():
     mixture, classes = mixtures(3), 10
     x = torch.tensor([-0.4, 0.05, 0.7], dtype=torch.float64)
-    centre = (4.5 * (x + 1)).round() / 4.5 - 1
 
     def below(border):
         components = torch.sigmoid((border[:, None] - mixture.means) / mixture.log_scales.exp())
         return (mixture.logits.softmax(-1) * components).sum(-1)
 
-    expected = -(below(centre + 1 / 9) - below(centre - 1 / 9)).log()
+    expected = -(below(x + 1 / 9) - below(x - 1 / 9)).log()
     assert torch.allclose(negative_log_likelihood(mixture, x, classes), expected, atol=1e-10)
 
 
@@ -68,5 +67,5 @@ def test_samples_follow_the_likelihood():
     counts = torch.bincount(((drawn + 1) * 5).round().long().flatten(), minlength=classes) / count
     centres = torch.linspace(-1, 1, classes, dtype=torch.float64)[:, None]
     expected = (-negative_log_likelihood(mixture, centres, classes)).exp().squeeze(1)
-    # At the ends, a clipped sample's class begins half a class inside, as the likelihood's does.
+    # Clipped samples fall into the outermost classes, which begin half a class inside.
     assert torch.allclose(counts.double(), expected, atol=4 * 0.5 / count**0.5)
