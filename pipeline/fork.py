@@ -61,8 +61,8 @@ _LMP |= {"decoder_dropout": 0.0, "mixtures": 3, "classes": 64, "kl_beta": 0.01}
 MODELS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "gcbc": ({"width": 32, "layers": 2, "dropout": 0.0}, {}),
     "c_ibc": (
-        {"width": 64, "layers": 2, "counter_examples": 32, "energy_penalty": 0.005, "gradient_penalty": 0.0},
-        {"candidates": 256, "iterations": 3, "noise_scale": 0.3, "noise_shrink": 0.5},
+        {"width": 64, "layers": 2, "counter_examples": 32, "energy_penalty": 0.005, "gradient_penalty": 1.0},
+        {"candidates": 256, "iterations": 2, "noise_scale": 0.3, "noise_shrink": 0.5},
     ),
     "lmp": (_LMP, {"replan": 1}),
     "ril": ({"width": 32, "layers": 2, "horizon": 1}, {"replan": 1}),
@@ -77,7 +77,7 @@ MODELS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "c_beso": ({"transformer": _TRANSFORMER, "diffusion": _DIFFUSION}, _SAMPLING),
     "cfg_beso": (
         {"transformer": _TRANSFORMER, "diffusion": _DIFFUSION, "goal_dropout": 0.1},
-        {**_SAMPLING, "guidance_scale": 1.0},
+        {**_SAMPLING, "guidance_scale": 2.0},
     ),
 }
 

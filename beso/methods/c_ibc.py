@@ -55,7 +55,7 @@ class Sampling:
 
     Attributes:
         candidates: actions in the search.
-        iterations: rounds of resampling.
+        iterations: rounds of resampling and perturbing; the last candidates' energies are looked at once more.
         noise_scale: standard deviation of what the first round adds; it is multiplied by noise_shrink every round.
     """
 
@@ -71,7 +71,7 @@ class Sampling:
         require(0 < self.noise_shrink <= 1, f"noise_shrink = {self.noise_shrink}: must be in (0, 1]")
 
 
-VALIDATION = Sampling(candidates=256, iterations=3, noise_scale=0.3, noise_shrink=0.5)
+VALIDATION = Sampling(candidates=256, iterations=2, noise_scale=0.3, noise_shrink=0.5)
 
 
 class Method(nn.Module):
