@@ -94,3 +94,10 @@ def require_positive(config: Any, *names: str) -> None:
     for name in names:
         value = getattr(config, name)
         require(value is None or value >= 1, f"{name} = {value}: must be at least 1")
+
+
+def require_rate(config: Any, *names: str) -> None:
+    """Raise ValueError unless each of these attributes is a share below one: a dropout rate or a decay."""
+    for name in names:
+        value = getattr(config, name)
+        require(0 <= value < 1, f"{name} = {value}: must be in [0, 1)")

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from beso.config import require, require_positive
+from beso.config import require, require_positive, require_rate
 
 STEP_DECAY_EVERY, STEP_DECAY = 100, 0.99  # the published code's StepLR
 
@@ -36,7 +36,7 @@ class OptimizationConfig:
         require_positive(self, "steps", "batch_size")
         require(self.learning_rate > 0, f"learning_rate = {self.learning_rate}: must be above 0")
         require(self.weight_decay >= 0, f"weight_decay = {self.weight_decay}: must not be negative")
-        require(0 <= self.ema_decay < 1, f"ema_decay = {self.ema_decay}: must be in [0, 1)")
+        require_rate(self, "ema_decay")
 
     def learning_rate_at(self, step: int) -> float:
         """The learning rate of update `step`, counted from 0."""

@@ -192,11 +192,10 @@ def parse(values: Any, where: str) -> Params:
     }
     for name, block in checked.items():
         for environment in block.train.keys() & block.sample.keys():
-            model = block.train[environment].model
-            length = methods.context_length(model, block.sample[environment])
-            if length > model.window:
-                key = f"{where}.methods.{name}.sample.{environment}.context_length"
-                raise UserError(f"{key} = {length}: must be at most the model's window, {model.window}")
+            try:
+                methods.check_sampling(block.train[environment].model, block.sample[environment])
+            except ValueError as error:
+                raise UserError(f"{where}.methods.{name}.sample.{environment}: {error}") from None
     for environment in [*params.grid.envs, *params.collect]:
         spec(environment)
     for environment in params.grid.envs:

@@ -2,8 +2,8 @@
 
 A module defines
 
-    Config       what shapes the network (`methods.<name>.train.<env>.model`); has a `window`, the longest context, and
-                 may have `lookahead` and `goal_at_end` (see beso.data.windows)
+    Config       what shapes the network (`methods.<name>.train.<env>.model`); has a `window`, and may have `lookahead`
+                 and `goal_at_end` (see beso.data.windows) and a `context` shorter than its window
     Sampling     what only action generation needs (`methods.<name>.sample.<env>`); may have a `context_length`
     Method       the policy
 
@@ -16,6 +16,7 @@ import importlib
 import pkgutil
 from typing import TYPE_CHECKING, Any, Protocol
 
+from beso.config import require
 from beso.errors import UserError
 
 if TYPE_CHECKING:  # a cell that only checks parameters does not depend on these
@@ -49,7 +50,15 @@ class Method(Protocol):
 
 def context_length(config: Any, sampling: Any) -> int:
     """Time steps of the context in rollouts, from a method's Config and Sampling: the training window or fewer."""
-    return getattr(sampling, "context_length", None) or config.window
+    return getattr(sampling, "context_length", None) or getattr(config, "context", config.window)
+
+
+def check_sampling(config: Any, sampling: Any) -> None:
+    """Raise ValueError where a method's Sampling does not fit its Config."""
+    length = context_length(config, sampling)
+    require(length <= config.window, f"context_length = {length}: must be at most the model's window, {config.window}")
+    chain, steps = getattr(config, "diffusion_steps", None), getattr(sampling, "steps", None)
+    require(not chain or not steps or steps <= chain, f"steps = {steps}: must be at most diffusion_steps, {chain}")
 
 
 def names() -> list[str]:

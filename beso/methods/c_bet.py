@@ -10,9 +10,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from beso.config import require, require_positive
+from beso.config import require, require_positive, require_rate
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
+from beso.errors import UserError
 from beso.memory import Memory
 from beso.networks.sequence import SequenceTransformer
 from beso.noise import Noise, categorical
@@ -43,7 +44,7 @@ class Config:
     def __post_init__(self) -> None:
         require_positive(self, "width", "layers", "heads", "window", "bins")
         require(self.width % self.heads == 0, f"heads = {self.heads}: must divide width = {self.width}")
-        require(0 <= self.dropout < 1, f"dropout = {self.dropout}: must be in [0, 1)")
+        require_rate(self, "dropout")
         require(self.offset_weight > 0, f"offset_weight = {self.offset_weight}: must be above 0")
 
 
@@ -77,12 +78,19 @@ class Method(nn.Module):
         """Find the bins by k-means.
 
         Args:
-            actions: (N, A) scaled, at least as many as there are bins.
+            actions: (N, A) scaled.
             seed: of the clustering.
+
+        Raises:
+            UserError: there are fewer actions than bins.
         """
         from sklearn.cluster import KMeans
         from threadpoolctl import threadpool_limits
 
+        if len(actions) < len(self.centres):
+            raise UserError(
+                f"bins = {len(self.centres)}: must be at most the number of training actions, {len(actions)}"
+            )
         with threadpool_limits(1):  # the order of its sums, and so their rounding, depends on the number of threads
             found = KMeans(len(self.centres), n_init=1, random_state=seed % 2**32).fit(actions.double().cpu().numpy())
         self.centres.copy_(torch.from_numpy(found.cluster_centers_))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
-from beso.config import require
+from beso.config import require_rate
 from beso.data.spec import Sizes
 from beso.diffusion.score_policy import DiffusionConfig, SamplingConfig, ScorePolicy, validation_sampling
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
@@ -23,7 +23,7 @@ class Config:
     goal_dropout: float
 
     def __post_init__(self) -> None:
-        require(0 <= self.goal_dropout < 1, f"goal_dropout = {self.goal_dropout}: must be in [0, 1)")
+        require_rate(self, "goal_dropout")
 
     @property
     def window(self) -> int:

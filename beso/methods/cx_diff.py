@@ -120,13 +120,12 @@ def ancestral_updates(alpha_bar: list[float], steps: int) -> list[tuple[int, flo
     1 - alpha, leaves short chains noise that their last step is too fine to take away.)
 
     Args:
-        steps: how many of the T steps to take, evenly chosen, the last always T.
+        steps: how many of the T steps to take, at most T, evenly chosen, the last always T.
 
     Returns:
         t, sqrt(alpha_bar[t]), scale, slope and std of each step.
     """
     length = len(alpha_bar) - 1
-    steps = min(steps, length)
     levels = [round(length * i / steps) for i in range(steps, -1, -1)]
     updates = []
     for t, to in itertools.pairwise(levels):

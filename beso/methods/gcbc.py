@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from beso.config import require, require_positive
+from beso.config import require_positive, require_rate
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory
@@ -33,7 +33,7 @@ class Config:
 
     def __post_init__(self) -> None:
         require_positive(self, "width", "layers")
-        require(0 <= self.dropout < 1, f"dropout = {self.dropout}: must be in [0, 1)")
+        require_rate(self, "dropout")
 
     @property
     def window(self) -> int:

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from beso.config import require, require_positive
+from beso.config import require, require_positive, require_rate
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory, replans
@@ -67,10 +67,14 @@ class Config:
             self.recognition_width % self.recognition_heads == 0,
             f"recognition_heads = {self.recognition_heads}: must divide recognition_width = {self.recognition_width}",
         )
-        for name in ("recognition_dropout", "decoder_dropout"):
-            require(0 <= getattr(self, name) < 1, f"{name} = {getattr(self, name)}: must be in [0, 1)")
+        require_rate(self, "recognition_dropout", "decoder_dropout")
         require(self.classes >= 2, f"classes = {self.classes}: must be at least 2")
         require(self.kl_beta >= 0, f"kl_beta = {self.kl_beta}: must not be negative")
+
+    @property
+    def context(self) -> int:
+        """What came before is in the decoder's state."""
+        return 1
 
     @property
     def goal_at_end(self) -> bool:

@@ -17,7 +17,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from beso.config import require, require_positive
+from beso.config import require, require_positive, require_rate
 from beso.networks.blocks import Block, causal_mask
 from beso.networks.layers import initialise_normal
 
@@ -45,8 +45,7 @@ class TransformerConfig:
     def __post_init__(self) -> None:
         require_positive(self, "width", "layers", "heads", "window")
         require(self.width % self.heads == 0, f"heads = {self.heads}: must divide width = {self.width}")
-        for name in ("attention_dropout", "residual_dropout"):
-            require(0 <= getattr(self, name) < 1, f"{name} = {getattr(self, name)}: must be in [0, 1)")
+        require_rate(self, "attention_dropout", "residual_dropout")
 
 
 class ScoreTransformer(nn.Module):

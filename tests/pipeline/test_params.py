@@ -84,7 +84,12 @@ OPTIMIZATION = ("methods", "gcbc", "train", "block_push", "optimization")
         (
             (*SAMPLE, "context_length"),
             6,
-            r"c_beso\.sample\.block_push\.context_length = 6: must be at most .* window, 5",
+            r"c_beso\.sample\.block_push: context_length = 6: must be at most .* window, 5",
+        ),
+        (
+            ("methods", "cx_diff", "sample", "block_push", "steps"),
+            99,
+            r"cx_diff\.sample\.block_push: steps = 99: must be at most diffusion_steps, 20",
         ),
         ((*SAMPLE, "context_length"), 0, r"context_length = 0: must be at least 1"),
         (SAMPLE, IDDPM, r"steps = 2000: iddpm has 471 levels"),
