@@ -3,6 +3,7 @@ import math
 import pytest
 import torch
 
+from beso.errors import UserError
 from beso.methods import c_bet
 from beso.noise import BatchNoise
 from tests.beso.methods import SIZES, batch
@@ -85,3 +86,13 @@ def test_the_whole_window_is_trained_and_goals_come_first():
     assert offsets.shape == (2, 3, 3, 2)
     changed, _ = method._predict(data.observations, data.goal + 1)
     assert not torch.isclose(changed, logits, atol=1e-6).all(dim=-1).any(), "every state sees the goal"
+    later = data.observations.clone()
+    later[:, -1] += 1
+    changed, _ = method._predict(later, data.goal)
+    assert torch.allclose(changed[:, :-1], logits[:, :-1], atol=1e-6), "no state sees a later one"
+    assert not torch.allclose(changed[:, -1], logits[:, -1], atol=1e-6)
+
+
+def test_more_bins_than_actions_are_refused():
+    with pytest.raises(UserError, match="bins = 3: must be at most the number of training actions, 2"):
+        make().prepare(torch.zeros(2, 2), seed=0)

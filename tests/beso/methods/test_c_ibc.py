@@ -1,3 +1,5 @@
+import itertools
+
 import pytest
 import torch
 
@@ -60,6 +62,22 @@ def test_the_search_finds_the_lowest_energy():
     observations, actions, goal, *_ = batch(20, 1)
     found = method.act(observations, actions[:, :0], goal, BatchNoise(20, torch.Generator().manual_seed(0)), {})
     assert (found - target).norm(dim=1).max() < 0.1
+
+
+def test_perturbations_shrink_every_round():
+    method, rounds = make(c_ibc.Sampling(500, 3, 0.02, 0.5)), []
+
+    def energy(observation, goal, actions):
+        rounds.append(actions)
+        return 1e6 * (actions - rounds[0][:, :1]).square().sum(dim=-1)  # all but the first candidate are ruled out
+
+    method.energy = energy
+    observations, actions, goal, *_ = batch(1, 1)
+    method.act(observations, actions[:, :0], goal, BatchNoise(1, torch.Generator().manual_seed(0)), {})
+    assert len(rounds) == 4
+    assert rounds[1].std(dim=1).mean().item() == pytest.approx(0.02, rel=0.15)
+    for first, second in itertools.pairwise(rounds[1:]):
+        assert second.std(dim=1).mean() < 0.75 * first.std(dim=1).mean()
 
 
 def test_actions_stay_in_the_box():

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from beso.methods import lmp
+from beso.networks import logistic_mixture
 from beso.noise import BatchNoise
 from tests.beso.methods import SIZES, batch
 
@@ -80,6 +81,23 @@ def test_the_decoder_in_single_steps_is_the_decoder_over_a_window():
             one, hidden = method._decode(data.observations[:, t : t + 1], plan, data.goal, hidden)
             for of_step, of_window in zip(one, whole, strict=True):
                 assert torch.allclose(of_step[:, 0], of_window[:, t], atol=1e-5)
+
+
+def test_the_loss_is_likelihood_and_balanced_divergence():
+    method, data = make(kl_beta=0.5), batch(6, 4)
+    eps = torch.randn(6, 3, generator=torch.Generator().manual_seed(2))
+    with torch.no_grad():
+        recognised = torch.stack([method.recognition(data.observations)[:, t] for t in range(4)]).sum(0) / 4
+        mean, std = recognised[:, :3], torch.nn.functional.softplus(recognised[:, 3:]) + 1e-4
+        prior = method.prior(torch.cat([data.observations[:, 0], data.goal[:, 0]], dim=1))
+        prior_mean, prior_std = prior[:, :3], torch.nn.functional.softplus(prior[:, 3:]) + 1e-4
+        mixture, _ = method._decode(data.observations, mean + std * eps, data.goal)
+        of_entries = logistic_mixture.negative_log_likelihood(mixture, data.actions, 16)
+        distributions = torch.distributions.Normal(mean, std), torch.distributions.Normal(prior_mean, prior_std)
+        divergence = torch.distributions.kl_divergence(*distributions).sum() / 6
+        expected = of_entries.sum() / (6 * 4) + 0.5 * divergence
+        loss = method.loss(data, torch.Generator().manual_seed(2))
+    assert loss.item() == pytest.approx(expected.item(), rel=1e-4)
 
 
 @pytest.mark.parametrize("kl_beta", [0.0, 0.01])

@@ -97,6 +97,26 @@ def test_a_batch_of_seven_acts_like_seven_single_calls(make, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_what_a_method_remembers_stays_with_its_episode(make, name):
+    """Three steps of five episodes, two of which end after the second, beside each episode alone."""
+    method, config = make(name)
+    train_a_little(method, config.window)
+    steps = [batch(5, 1, seed=seed) for seed in range(3)]
+    goal, none = steps[0].goal, steps[0].actions[:, :0]
+    noise, memory, kept = episode_noise(5), {}, np.array([True, False, True, False, True])
+    with torch.inference_mode():
+        together = [method.act(step.observations, none, goal, noise, memory) for step in steps[:2]]
+        noise.keep(kept)
+        memory = {key: value[torch.from_numpy(kept)] for key, value in memory.items()}
+        together.append(method.act(steps[2].observations[kept], none[kept], goal[kept], noise, memory))
+        for row, i in enumerate(np.flatnonzero(kept)):
+            one, memory = EpisodeNoise([np.random.default_rng(i)]), {}
+            for step, acted in zip(steps, (together[0][i], together[1][i], together[2][row]), strict=True):
+                alone = method.act(step.observations[i : i + 1], none[:1], goal[i : i + 1], one, memory)
+                assert torch.allclose(acted, alone[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_actions_depend_on_state_and_goal(make, name):
     method, config = make(name)
     train_a_little(method, config.window)

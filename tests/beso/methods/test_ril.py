@@ -36,14 +36,16 @@ def test_levels_learn_their_relabelled_targets():
     assert method.loss(data, torch.Generator()).item() == pytest.approx(expected.item(), rel=1e-5)
 
 
-def test_the_low_level_sees_every_distance_up_to_the_horizon():
-    method, seen = make(), []
-    data = batch(400, 1)
-    forward = method.low.forward
-    method.low.forward = lambda x: (seen.append(x[:, SIZES.observation :]), forward(x))[1]
+def test_the_low_level_sees_every_distance_up_to_the_horizon_and_the_high_level_the_goal():
+    method, seen, data = make(), {}, batch(400, 1)
+    for name, level in (("high", method.high), ("low", method.low)):
+        level.register_forward_pre_hook(lambda _, inputs, name=name: seen.update({name: inputs[0]}))
     method.loss(data, torch.Generator().manual_seed(0))
-    distances = [(data.future[i] == sub_goal).all(dim=1).nonzero().item() for i, sub_goal in enumerate(seen[0])]
+    states, sub_goals = seen["low"].split(SIZES.observation, dim=1)
+    assert torch.equal(states, data.observations[:, -1])
+    distances = [(data.future[i] == sub_goal).all(dim=1).nonzero().item() for i, sub_goal in enumerate(sub_goals)]
     assert set(distances) == {0, 1, 2, 3}
+    assert torch.equal(seen["high"], torch.cat([data.observations[:, -1], data.goal[:, 0]], dim=1))
 
 
 def test_impossible_values_are_refused():
