@@ -1,8 +1,8 @@
 """Discretised mixture of logistics (Salimans et al. 2017, PixelCNN++), for numbers in [-1, 1].
 
 A number's class is the interval of width 2 / (K - 1) around it; at the ends, -1 and 1, it reaches to infinity. So the
-probabilities of K evenly spaced numbers from -1 to 1 sum to 1. Numbers in between are not rounded to these (as in HULC):
-with few classes that would cost precision.
+probabilities of K evenly spaced numbers from -1 to 1 sum to 1. Numbers in between are not rounded (as in HULC): with
+few classes that would cost precision.
 """
 
 from typing import NamedTuple
