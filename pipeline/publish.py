@@ -41,11 +41,12 @@ def _check() -> None:
     """What lies on disk must come from these parameters.
 
     Raises:
-        UserError: `dvc repro` would still run something.
+        UserError: `dvc repro tables` would still run something.
     """
-    status = subprocess.run(["dvc", "status", "--json"], capture_output=True, text=True, check=True).stdout
+    command = ["dvc", "status", "--json", "--with-deps", "tables"]
+    status = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     if stages := json.loads(status):
-        raise UserError(f"{', '.join(stages)} out of date: run `dvc repro` first, then publish")
+        raise UserError(f"{', '.join(stages)} out of date: run `dvc repro tables` first, then publish")
 
 
 def _contents(configuration: Params) -> list[Path]:
