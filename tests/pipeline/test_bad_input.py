@@ -115,7 +115,7 @@ def test_results_of_other_parameters_are_not_published(workspace):
     workspace.set("evaluation.seed", 7)
     line = fails(workspace, sys.executable, "-m", "pipeline.publish")
     assert "evaluate@block_push-gcbc" in line
-    assert "out of date: run `dvc repro` first" in line
+    assert "out of date: run `dvc repro tables` first" in line
 
 
 def test_publish_archives_the_run(workspace):
