@@ -42,7 +42,7 @@ def draw_all(params: Params, comparison: pd.DataFrame, folder: Path) -> None:
 
 def scores(params: Params, comparison: pd.DataFrame) -> Figure:
     """Bars of reward and result by method, ours beside the paper's; lines are standard deviations over seeds."""
-    figure = Figure(figsize=(7, 2.4), layout="constrained")
+    figure = Figure(figsize=(7, 2.7), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
     bars = [("training", "ours", "ours_std", "ours, training goals", COLOURS["ours"])]
     if "held_out" in params.evaluation.goals:
@@ -58,7 +58,7 @@ def scores(params: Params, comparison: pd.DataFrame) -> Figure:
         axis.set_xticks(places, [names.METHODS[m] for m in params.grid.methods], rotation=30, ha="right")
         axis.set_title(names.METRICS[metric])
     axes[0].set_ylabel(names.ENVIRONMENTS[comparison["environment"].iloc[0]])
-    axes[1].legend(frameon=False)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(bars), frameon=False)
     return figure
 
 
@@ -85,7 +85,7 @@ def fork_samples(params: Params) -> Figure:
 
 def training_curves(params: Params, environment: str) -> Figure:
     """Held-out error of generated actions against training steps, a line a seed."""
-    figure = Figure(figsize=(3.5, 2.4), layout="constrained")
+    figure = Figure(figsize=(4.7, 2.4), layout="constrained")
     axis = figure.subplots()
     for method, colour in zip(params.grid.methods, itertools.cycle(METHOD_COLOURS)):
         curves = pd.read_csv(paths.curve(environment, method))
@@ -93,5 +93,5 @@ def training_curves(params: Params, environment: str) -> Figure:
             label = names.METHODS[method] if i == 0 else None
             axis.plot(curves["step"], curves[f"validation_error_seed{seed}"], color=colour, linewidth=1, label=label)
     axis.set(xlabel="training step", ylabel="held-out action error\n(squared, scaled units)", yscale="log")
-    axis.legend(frameon=False)
+    figure.legend(loc="outside right upper", frameon=False)
     return figure
