@@ -15,6 +15,7 @@ from beso.data import play
 from beso.data.play import PlayDataset
 from beso.data.scaling import Scaling
 from beso.data.spec import spec
+from beso.errors import UserError
 from beso.noise import BatchNoise
 from beso.seeding import torch_generator
 from beso.training import pick_device, split
@@ -38,11 +39,17 @@ def errors(
 
     Args:
         policy: see beso.methods.Method; what it remembers is empty at every step.
-        episodes: which episodes, indices into the dataset, each of at least STEPS steps.
+        episodes: which episodes, indices into the dataset.
         goal_window: states in a goal.
         context: time steps that the policy sees.
         draws: of the policy's noise, the same for both errors.
+
+    Raises:
+        UserError: an episode is shorter than STEPS, so that its first steps would run into the next one.
     """
+    shortest = dataset.lengths[episodes].min()
+    if shortest < STEPS:
+        raise UserError(f"the shortest held-out demonstration has {shortest} steps, at least {STEPS} are needed")
     device, each = draws.device, STEPS - context + 1  # decisions of an episode
     starts, ends = dataset.episode_starts[episodes], dataset.episode_ends[episodes]
     now = (starts[:, None] + np.arange(context - 1, STEPS)).ravel()

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -5,6 +7,7 @@ import torch
 from beso.data.play import Episode, assemble
 from beso.data.scaling import Scaling
 from beso.data.spec import SPECS
+from beso.errors import UserError
 from pipeline.goal_use import errors
 
 SPEC = SPECS["block_push"]
@@ -46,3 +49,10 @@ def test_only_a_policy_that_looks_at_its_goal_errs_with_anothers(dataset):
     assert other - own == pytest.approx(2.0, abs=0.01)  # 2 wrong in one of two entries
     own, other = measured(looks=False)
     assert own == other
+
+
+def test_an_episode_that_is_too_short_is_refused(dataset):
+    scaling = Scaling.fit(dataset, np.arange(10), SPEC)
+    short = replace(dataset, episode_ends=dataset.episode_ends - 20)  # the first has 30 steps
+    with pytest.raises(UserError, match="has 30 steps, at least 40 are needed"):
+        errors(Policy(True), scaling, short, np.arange(10), 1, 3, torch.Generator().manual_seed(0))
