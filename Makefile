@@ -17,7 +17,7 @@ $(BIN)/.installed: pyproject.toml
 
 reproduce: setup
 	python -m pipeline.params
-	dvc repro
+	python -m pipeline.run -j 2
 
 test: setup check
 	python -m pytest

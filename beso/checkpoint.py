@@ -2,21 +2,46 @@
 
 import dataclasses
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import safetensors.torch
 import torch
 from safetensors import SafetensorError
-from torch import nn
+from torch import Tensor
 
 from beso import methods
+from beso.config import build
 from beso.data.scaling import Scaling
-from beso.data.spec import PlaySpec
+from beso.data.spec import Sizes
 from beso.errors import UserError
 from beso.files import read_json, replacing, write_json
-from beso.training import Trained
 from beso.training_config import TrainingJob
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained model: averaged weights by name, scaling, and one row of the curve a measurement."""
+
+    weights: dict[str, Tensor]
+    scaling: Scaling
+    curve: list[dict[str, float]]
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A trained policy, in evaluation mode.
+
+    Attributes:
+        method: the policy, see beso.methods.Policy.
+        scaling: between raw and its own units.
+        context: time steps that it sees in rollouts.
+    """
+
+    method: Any
+    scaling: Scaling
+    context: int
 
 
 def paths(folder: Path, seed: int) -> tuple[Path, Path]:
@@ -24,7 +49,7 @@ def paths(folder: Path, seed: int) -> tuple[Path, Path]:
     return folder / f"seed{seed}.safetensors", folder / f"seed{seed}.json"
 
 
-def save(folder: Path, job: TrainingJob, trained: Trained, data_digest: str) -> None:
+def save(folder: Path, job: TrainingJob, sizes: Sizes, trained: Trained, data_digest: str) -> None:
     """Write one trained model; the description goes last, so that it is there only when the weights are."""
     weights, description = paths(folder, job.seed)
     with replacing(weights) as temporary:
@@ -33,6 +58,7 @@ def save(folder: Path, job: TrainingJob, trained: Trained, data_digest: str) -> 
         description,
         {
             "job": dataclasses.asdict(job),
+            "sizes": sizes._asdict(),
             "data": data_digest,
             "scaling": trained.scaling.as_dict(),
             "torch": torch.__version__,
@@ -51,41 +77,51 @@ def load_description(folder: Path, seed: int) -> dict[str, Any]:
     if not path.is_file():
         raise UserError(f"{path} is missing: train this model first")
     description = read_json(path)
-    absent = [key for key in ("job", "data", "scaling", "curve") if key not in description]
+    absent = [key for key in ("job", "sizes", "data", "scaling", "curve") if key not in description]
     if absent:
         raise UserError(f"{path} is damaged: it has no {absent[0]!r}")
     return description
 
 
-def load(
-    folder: Path, job: TrainingJob, sampling: Any, spec: PlaySpec, device: torch.device
-) -> tuple[nn.Module, Scaling]:
-    """Rebuild a trained policy, in evaluation mode.
-
-    Args:
-        job: what the caller believes the model to be.
-        sampling: how it shall generate actions.
+def check(folder: Path, job: TrainingJob) -> None:
+    """Check that a folder holds what the caller believes it to hold.
 
     Raises:
-        UserError: files are missing or damaged, or the model was trained with another configuration.
+        UserError: the model was trained with another configuration.
     """
-    weights_path, description_path = paths(folder, job.seed)
-    description = load_description(folder, job.seed)
-    expected = json.loads(json.dumps(dataclasses.asdict(job)))
-    difference = _first_difference(description["job"], expected, "")
+    found = load_description(folder, job.seed)["job"]
+    difference = _first_difference(found, json.loads(json.dumps(dataclasses.asdict(job))), "")
     if difference:
-        raise UserError(f"{description_path} is a checkpoint of another configuration: {difference}; train again")
+        where = paths(folder, job.seed)[1]
+        raise UserError(f"{where} is a checkpoint of another configuration: {difference}; train again")
+
+
+def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded:
+    """Rebuild a trained policy.
+
+    Args:
+        sampling: how it shall generate actions: the method's Sampling, or None for its default.
+
+    Raises:
+        UserError: files are missing or damaged, or the sampling does not fit the model.
+    """
+    weights_path, description_path = paths(folder, seed)
+    description = load_description(folder, seed)
+    name, sizes = description["job"]["method"], Sizes(**description["sizes"])
+    module = methods.load(name)
+    config = build(module.Config, description["job"]["config"]["model"], f"{description_path}: model")
     try:
         weights = safetensors.torch.load(weights_path.read_bytes())
     except (OSError, SafetensorError) as error:
         raise UserError(f"{weights_path} is missing or damaged ({error})") from None
     unused = torch.Generator()  # initial weights, overwritten below
-    method = methods.load(job.method).Method(job.config.model, sampling, spec.sizes, unused)
+    method = module.Method(config, sampling, sizes, unused)
     shapes = {key: tuple(value.shape) for key, value in weights.items()}
     if shapes != {key: tuple(value.shape) for key, value in method.state_dict().items()}:
-        raise UserError(f"{weights_path} is damaged: its weights are not those of a {job.method} of this configuration")
+        raise UserError(f"{weights_path} is damaged: its weights are not those of a {name} of this configuration")
     method.load_state_dict(weights)
-    return method.to(device).eval(), Scaling.from_dict(description["scaling"])
+    context = sampling.context_steps(config.context) if sampling else config.context
+    return Loaded(method.to(device).eval(), Scaling.from_dict(description["scaling"]), context)
 
 
 def _first_difference(found: Any, expected: Any, key: str) -> str | None:

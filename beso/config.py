@@ -89,6 +89,12 @@ def require(condition: bool, message: str) -> None:
         raise ValueError(message)
 
 
+def require_name(config: Any, attribute: str, known: Mapping[str, Any]) -> None:
+    """Raise ValueError unless this attribute is one of the names in a registry."""
+    value = getattr(config, attribute)
+    require(value in known, f"{attribute} = {value!r}: must be one of {', '.join(known)}")
+
+
 def require_positive(config: Any, *names: str) -> None:
     """Raise ValueError unless each of these attributes is at least 1, or None where that is allowed."""
     for name in names:

@@ -1,11 +1,8 @@
 """What is evaluated: goal sets, numbers of episodes, and their division into fixed chunks."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 from beso.config import require, require_positive
-
-GoalSet = Literal["training", "held_out"]
 
 
 @dataclass(frozen=True)
@@ -15,25 +12,22 @@ class EvaluationConfig:
     Attributes:
         seed: root of starts and policy noise, apart from the training seed.
         rollouts: episodes a model seed and goal set.
-        goals: "training" takes goals from training demonstrations, as the paper does, "held_out" from the others.
+        goals: some of the environment's goal sets, the paper's first.
         chunk: environments stepped together.
         max_actions: longest episode, or null for the environment's own limit.
-        video: whether the first episode is filmed.
     """
 
     seed: int
     rollouts: int
-    goals: tuple[GoalSet, ...]
+    goals: tuple[str, ...]
     chunk: int
     max_actions: int | None
-    video: bool
 
     def __post_init__(self) -> None:
         require(self.seed >= 0, f"seed = {self.seed}: must not be negative")
         require_positive(self, "rollouts", "chunk")
         require(
-            self.goals in (("training",), ("training", "held_out")),
-            f"goals = {list(self.goals)}: must be [training] or [training, held_out]",
+            len(set(self.goals)) == len(self.goals) > 0, f"goals = {list(self.goals)}: must be different, at least one"
         )
         require(self.max_actions is None or self.max_actions >= 1, f"max_actions = {self.max_actions}: must be above 0")
 
@@ -42,7 +36,7 @@ class EvaluationConfig:
 class Chunk:
     """Episodes [first, last) of one model seed and goal set."""
 
-    goals: GoalSet
+    goals: str
     first: int
     last: int
 

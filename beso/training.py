@@ -9,11 +9,8 @@ import json
 import logging
 import math
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import safetensors.torch
 import torch
 from safetensors import SafetensorError, safe_open
@@ -21,40 +18,17 @@ from torch import Tensor
 from tqdm import trange
 
 from beso import methods, optimizers
-from beso.data.play import PlayDataset, split_episodes
+from beso.checkpoint import Trained
+from beso.data.play import PlayDataset
 from beso.data.scaling import Scaling
 from beso.data.spec import PlaySpec
-from beso.data.windows import Batch, Windows
+from beso.data.windows import Windows
 from beso.errors import UserError
 from beso.files import replacing
-from beso.noise import BatchNoise
-from beso.seeding import generator, integer_seed, torch_generator
+from beso.seeding import integer_seed, torch_generator
 from beso.training_config import TrainingJob
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Trained:
-    """A trained model: averaged weights by name, scaling, and one row of the curve a measurement."""
-
-    weights: dict[str, Tensor]
-    scaling: Scaling
-    curve: list[dict[str, float]]
-
-
-def pick_device(name: str) -> torch.device:
-    """ "auto" means the first GPU if there is one."""
-    if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
-    if name == "cuda" and not torch.cuda.is_available():
-        raise UserError("device = cuda: this PyTorch finds no GPU; auto or cpu are possible")
-    return torch.device(name)
-
-
-def split(job: TrainingJob, episodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Training and held-out episodes of one model seed."""
-    return split_episodes(episodes, job.train_fraction, generator(job.root_seed, "split", job.seed))
 
 
 def train(
@@ -71,21 +45,18 @@ def train(
     """
     # Data
     optimization, model = job.config.optimization, job.config.model
-    training_episodes, held_out_episodes = split(job, len(dataset))
+    training_episodes, held_out_episodes = job.split(len(dataset))
     scaling = Scaling.fit(dataset, training_episodes, spec)
-    lookahead, goal_at_end = getattr(model, "lookahead", 0), getattr(model, "goal_at_end", False)
-    shape = (scaling, model.window, spec.goal_window, device, lookahead, goal_at_end)
+    shape = (scaling, model.window, spec.goal_window, device, model.lookahead, model.goal_at_end, job.goal_horizon)
     windows = Windows(dataset, training_episodes, *shape)
     held_out = Windows(dataset, held_out_episodes, *shape)
-    decision = 0 if goal_at_end else model.window - 1  # the step at which held-out actions are generated
     validation_seed = (job.root_seed, "validation", job.seed)
     held_out_batch = held_out.sample(job.validation.windows, torch_generator(*validation_seed, device=device))
 
     # Model, averages, optimizer
     initial = torch_generator(job.root_seed, "initial weights", job.seed)
     method = methods.load(job.method).Method(model, None, spec.sizes, initial).to(device).train()
-    if hasattr(method, "prepare"):
-        method.prepare(windows.actions, integer_seed(job.root_seed, "preparation", job.seed))
+    method.prepare(windows.actions, integer_seed(job.root_seed, "preparation", job.seed))
     averaged = copy.deepcopy(method).eval().requires_grad_(False)
     parameters, averages = list(method.parameters()), list(averaged.parameters())
     updates = optimizers.make(optimization.optimizer, parameters, optimization.learning_rate, optimization.weight_decay)
@@ -109,6 +80,7 @@ def train(
         for optimizer in updates:
             for group in optimizer.param_groups:
                 group["lr"] = rate
+        method.schedule(step / optimization.steps)
         batch = windows.sample(optimization.batch_size, draws)
         with torch.autocast(device.type, torch.bfloat16, enabled=optimization.precision == "bf16"):
             loss = method.loss(batch, draws)
@@ -125,8 +97,16 @@ def train(
         done = step + 1
         if done % job.validation.every == 0 or done == optimization.steps:
             since = done - (curve[-1]["step"] if curve else 0)
-            measured = _validate(averaged, held_out_batch, decision, torch_generator(*validation_seed, device=device))
-            curve.append({"step": done, "training_loss": loss_sum.item() / since, **measured, "learning_rate": rate})
+            with torch.no_grad():  # not inference mode: C-IBC's loss has a gradient within
+                held_out_loss = averaged.loss(held_out_batch, torch_generator(*validation_seed, device=device)).item()
+            curve.append(
+                {
+                    "step": done,
+                    "training_loss": loss_sum.item() / since,
+                    "validation_loss": held_out_loss,
+                    "learning_rate": rate,
+                }
+            )
             loss_sum.zero_()
             if not math.isfinite(curve[-1]["training_loss"]):
                 raise UserError(f"{name}: the training loss is not finite after {done} steps; lower learning_rate")
@@ -134,9 +114,8 @@ def train(
             speed = (done - logged_step) / (now - logged_at)
             logged_at, logged_step = now, done
             log.info(
-                "%s: step %d/%d, training loss %.4f, validation loss %.4f, validation error %.4f, %.1f steps/s",
-                *(name, done, optimization.steps, curve[-1]["training_loss"]),
-                *(measured["validation_loss"], measured["validation_error"], speed),
+                "%s: step %d/%d, training loss %.4f, validation loss %.4f, %.1f steps/s",
+                *(name, done, optimization.steps, curve[-1]["training_loss"], held_out_loss, speed),
             )
         if time.monotonic() - saved_at >= save_seconds:
             loop.save(state_path, done, curve)
@@ -144,21 +123,6 @@ def train(
 
     weights = {key: value.detach().cpu().contiguous() for key, value in averaged.state_dict().items()}
     return Trained(weights, scaling, curve)
-
-
-def _validate(method: Any, batch: Batch, decision: int, draws: torch.Generator) -> dict[str, float]:
-    """Loss and action error on held-out windows.
-
-    The error is the mean square of that of the action at step `decision`, generated with the true context: the window's
-    last, or its first where the goal is the window's end.
-    """
-    with torch.no_grad():  # not inference mode: C-IBC's loss has a gradient within
-        loss = method.loss(batch, draws)
-        noise = BatchNoise(len(batch.actions), draws)
-        context = batch.observations[:, : decision + 1], batch.actions[:, :decision]
-        actions = method.act(*context, batch.goal, noise, {})
-        error = (actions - batch.actions[:, decision]).square().mean()
-    return {"validation_loss": loss.item(), "validation_error": error.item()}
 
 
 class _LoopState:

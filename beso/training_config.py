@@ -4,7 +4,11 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from beso.config import require, require_positive, require_rate
+from beso.data.play import split_episodes
+from beso.seeding import generator
 
 STEP_DECAY_EVERY, STEP_DECAY = 100, 0.99  # the published code's StepLR
 
@@ -80,6 +84,7 @@ class TrainingJob:
         config: its configuration.
         validation: held-out measurements.
         train_fraction: share of the episodes used for training.
+        goal_horizon: the largest number of steps from a window to its goal; None is the rest of the episode.
         root_seed, seed: the project's seed and this model's number.
     """
 
@@ -87,5 +92,10 @@ class TrainingJob:
     config: TrainingConfig
     validation: ValidationConfig
     train_fraction: float
+    goal_horizon: int | None
     root_seed: int
     seed: int
+
+    def split(self, episodes: int) -> tuple[np.ndarray, np.ndarray]:
+        """Training and held-out ones of so many episodes, indices."""
+        return split_episodes(episodes, self.train_fraction, generator(self.root_seed, "split", self.seed))

@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+import itertools
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +13,8 @@ from typing import Any, Literal
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from beso import methods
+from beso import envs, methods
 from beso.config import build, require, require_positive
-from beso.data.spec import spec
 from beso.errors import UserError
 from beso.evaluation_config import EvaluationConfig
 from beso.training_config import TrainingConfig, TrainingJob, ValidationConfig
@@ -36,19 +36,6 @@ class Machine:
 
 
 @dataclass(frozen=True)
-class Grid:
-    """The cells of the comparison: every method in every environment."""
-
-    envs: tuple[str, ...]
-    methods: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        for name in ("envs", "methods"):
-            values = getattr(self, name)
-            require(len(set(values)) == len(values) > 0, f"{name} = {list(values)}: must be different, at least one")
-
-
-@dataclass(frozen=True)
 class Collect:
     """Where play data comes from: scripted demonstrations made here, or published files in a local folder."""
 
@@ -63,13 +50,75 @@ class Collect:
 
 @dataclass(frozen=True)
 class Training:
-    """What all methods share in training."""
+    """What all methods share in training.
+
+    Attributes:
+        train_fraction: share of the demonstrations; the rest is held out.
+        goal_horizon: the largest number of steps from a training window to its goal; null is the demonstration's rest.
+        validation: measurements of the held-out loss.
+    """
 
     train_fraction: float
+    goal_horizon: int | None
     validation: ValidationConfig
 
     def __post_init__(self) -> None:
         require(0 < self.train_fraction < 1, f"train_fraction = {self.train_fraction}: must be between 0 and 1")
+        require_positive(self, "goal_horizon")
+
+
+@dataclass(frozen=True)
+class EnvironmentParams:
+    """What all cells of one environment share.
+
+    Attributes:
+        seeds: one trained model each.
+    """
+
+    seeds: tuple[int, ...]
+    collect: Collect
+    training: Training
+    evaluation: EvaluationConfig
+
+    def __post_init__(self) -> None:
+        require(
+            len(set(self.seeds)) == len(self.seeds) > 0 and min(self.seeds) >= 0,
+            f"seeds = {list(self.seeds)}: must be different numbers from 0 upward, at least one",
+        )
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method in one environment.
+
+    Attributes:
+        env, method: what `environments` and `methods` name.
+        of: the method's file in beso/methods; a variant names the method that it changes.
+    """
+
+    env: str
+    method: str
+    of: str
+
+
+@dataclass(frozen=True)
+class Study:
+    """A trained cell, sampled in several ways from the same starts and with the same noise.
+
+    Attributes:
+        env, method, of: the cell.
+        vary: values by parameter of the cell's sampling; every combination is played.
+    """
+
+    env: str
+    method: str
+    of: str
+    vary: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        for name, values in self.vary.items():
+            require(isinstance(values, list) and len(values) > 0, f"vary.{name} = {values!r}: must be a list of values")
+        require(len(self.vary) > 0, "vary = {}: must name at least one parameter")
 
 
 @dataclass(frozen=True)
@@ -84,11 +133,20 @@ class Latency:
 
 
 @dataclass(frozen=True)
+class ForkMethod:
+    """One method's network and sampling on the fork, as under `methods`."""
+
+    model: Any
+    sample: Any
+
+
+@dataclass(frozen=True)
 class Fork:
-    """How long every method trains on the fork (see pipeline.fork), and how many actions are drawn."""
+    """How long every method trains on the fork (see pipeline.cells.fork), how many actions are drawn, which methods."""
 
     updates: int
     samples: int
+    methods: dict[str, ForkMethod]
 
     def __post_init__(self) -> None:
         require_positive(self, "updates", "samples")
@@ -96,9 +154,16 @@ class Fork:
 
 @dataclass(frozen=True)
 class MethodParams:
-    """One method's parameters by environment, split so that a change of sampling never retrains."""
+    """One method's parameters by environment, split so that a change of sampling never retrains.
 
-    train: dict[str, TrainingConfig]
+    A variant gives only what differs from the method that it changes; `load` fills in the rest.
+
+    Attributes:
+        label: the report's name.
+    """
+
+    label: str
+    train: dict[str, Any]
     sample: dict[str, Any]
 
 
@@ -108,15 +173,14 @@ class Params:
 
     profile: str
     seed: int
-    seeds: tuple[int, ...]
     machine: Machine
-    grid: Grid
-    collect: dict[str, Collect]
-    training: Training
-    evaluation: EvaluationConfig
+    environments: dict[str, EnvironmentParams]
+    cells: dict[str, Cell]
+    methods: dict[str, MethodParams]
+    studies: dict[str, Study]
+    films: dict[str, Cell]
     latency: Latency
     fork: Fork
-    methods: dict[str, MethodParams]
 
     def __post_init__(self) -> None:
         require(
@@ -124,34 +188,64 @@ class Params:
             f"profile = {self.profile!r}: must be made of lower-case letters, digits and hyphens",
         )
         require(self.seed >= 0, f"seed = {self.seed}: must not be negative")
-        require(
-            len(set(self.seeds)) == len(self.seeds) > 0 and min(self.seeds) >= 0,
-            f"seeds = {list(self.seeds)}: must be different numbers from 0 upward, at least one",
-        )
+        require(len(self.cells) > 0, "cells = {}: at least one is needed")
+        for name, cell in self.cells.items():
+            require(
+                name == f"{cell.env}-{cell.method}",
+                f"cells.{name}: its name must be env and method with a hyphen between, {cell.env}-{cell.method}",
+            )
+        for name, cell in self.films.items():
+            require(self.cells.get(name) == cell, f"films.{name}: is not among the cells like that")
+        for name, study in self.studies.items():
+            require(
+                self.cells.get(f"{study.env}-{study.method}") == Cell(study.env, study.method, study.of),
+                f"studies.{name}: {study.env}-{study.method} of {study.of} is not among the cells",
+            )
 
-    def job(self, environment: str, method: str, seed: int) -> TrainingJob:
-        """The training run of one model. Raises UserError for a cell that params.yaml does not have."""
+    @property
+    def envs(self) -> list[str]:
+        """The environments that have cells, in the order of the cells."""
+        return list(dict.fromkeys(cell.env for cell in self.cells.values()))
+
+    def methods_in(self, env: str) -> list[str]:
+        """The methods of one environment, in the order of the cells."""
+        return [cell.method for cell in self.cells.values() if cell.env == env]
+
+    def cell(self, env: str, method: str) -> Cell:
+        """One cell. Raises UserError if params.yaml does not have it."""
+        if env not in self.environments:
+            raise UserError(f"environment {env!r} is not in {PATH}: {', '.join(self.environments)} are")
+        if f"{env}-{method}" not in self.cells:
+            raise UserError(f"{PATH} has no cell {env}-{method}: {', '.join(self.cells)} are there")
+        return self.cells[f"{env}-{method}"]
+
+    def job(self, env: str, method: str, seed: int) -> TrainingJob:
+        """The training run of one model. Raises UserError as `cell` does."""
+        cell, training = self.cell(env, method), self.environments[env].training
         return TrainingJob(
-            method=method,
-            config=self._cell(environment, method).train[environment],
-            validation=self.training.validation,
-            train_fraction=self.training.train_fraction,
+            method=cell.of,
+            config=self.methods[method].train[env],
+            validation=training.validation,
+            train_fraction=training.train_fraction,
+            goal_horizon=training.goal_horizon,
             root_seed=self.seed,
             seed=seed,
         )
 
-    def sampling(self, environment: str, method: str) -> Any:
-        """How one method generates actions in one environment. Raises UserError as `job` does."""
-        return self._cell(environment, method).sample[environment]
+    def sampling(self, env: str, method: str, **changes: Any) -> Any:
+        """How one method generates actions in one environment, with some values changed. Raises UserError as `cell`."""
+        self.cell(env, method)
+        sampling = self.methods[method].sample[env]
+        return dataclasses.replace(sampling, **changes) if changes else sampling
 
-    def _cell(self, environment: str, method: str) -> MethodParams:
-        spec(environment)
-        if method not in self.methods:
-            raise UserError(f"method {method!r} is not in {PATH}: {', '.join(self.methods)} are")
-        block = self.methods[method]
-        if environment not in block.train or environment not in block.sample:
-            raise UserError(f"{PATH}.methods.{method} has no environment {environment!r}")
-        return block
+    def samplings(self, study: str) -> list[tuple[dict[str, Any], Any]]:
+        """The samplings of one study: what was changed, and the whole."""
+        if study not in self.studies:
+            raise UserError(f"study {study!r} is not in {PATH}: {', '.join(self.studies) or 'none'} are")
+        entry = self.studies[study]
+        combinations = itertools.product(*entry.vary.values())
+        changes = [dict(zip(entry.vary, values, strict=True)) for values in combinations]
+        return [(change, self.sampling(entry.env, entry.method, **change)) for change in changes]
 
 
 def read_yaml(path: Path) -> Any:
@@ -180,38 +274,82 @@ def load(path: Path = PATH) -> Params:
 def parse(values: Any, where: str) -> Params:
     """Check parameters given as plain mappings. Raises UserError as `load` does."""
     params = build(Params, values, where)
+    for name, environment in params.environments.items():
+        known, goals = envs.spec(name).goal_sets, environment.evaluation.goals
+        if goals != known[: len(goals)]:
+            allowed = " or ".join(str(list(known[:n])) for n in range(1, len(known) + 1))
+            raise UserError(f"{where}.environments.{name}.evaluation: goals = {list(goals)}: must be {allowed}")
+    for key, cell in params.cells.items():
+        if cell.env not in params.environments:
+            raise UserError(f"{where}.environments.{cell.env} is missing: cells.{key} names it")
+        if cell.method not in params.methods:
+            raise UserError(f"{where}.methods.{cell.method} is missing: cells.{key} names it")
+        for part in ("train", "sample"):
+            if cell.env not in getattr(params.methods[cell.method], part):
+                raise UserError(f"{where}.methods.{cell.method}.{part}.{cell.env} is missing: cells.{key} names it")
+    bases = {cell.method: cell.of for cell in params.cells.values()}
     checked = {
-        name: MethodParams(
-            train={env: _model(name, env, config, where) for env, config in block.train.items()},
-            sample={
-                env: build(methods.load(name).Sampling, values, f"{where}.methods.{name}.sample.{env}")
-                for env, values in block.sample.items()
-            },
-        )
-        for name, block in params.methods.items()
+        name: _method(params.methods, name, bases.get(name, name), f"{where}.methods") for name in params.methods
     }
-    for name, block in checked.items():
-        for environment in block.train.keys() & block.sample.keys():
-            try:
-                methods.check_sampling(block.train[environment].model, block.sample[environment])
-            except ValueError as error:
-                raise UserError(f"{where}.methods.{name}.sample.{environment}: {error}") from None
-    for environment in [*params.grid.envs, *params.collect]:
-        spec(environment)
-    for environment in params.grid.envs:
-        if environment not in params.collect:
-            raise UserError(f"{where}.collect.{environment} is missing: grid.envs names it")
-        for name in params.grid.methods:
-            for part in ("train", "sample"):
-                if name not in checked or environment not in getattr(checked[name], part):
-                    raise UserError(f"{where}.methods.{name}.{part}.{environment} is missing: the grid names this cell")
-    return dataclasses.replace(params, methods=checked)
+    for name, chosen in params.fork.methods.items():
+        module, key = methods.load(name), f"{where}.fork.methods.{name}"
+        build(module.Config, chosen.model, f"{key}.model").check(build(module.Sampling, chosen.sample, f"{key}.sample"))
+    params = dataclasses.replace(params, methods=checked)
+    for name, study in params.studies.items():
+        _study(params, name, study, f"{where}.studies.{name}")
+    return params
 
 
-def _model(name: str, environment: str, config: TrainingConfig, where: str) -> TrainingConfig:
-    spec(environment)
-    model = build(methods.load(name).Config, config.model, f"{where}.methods.{name}.train.{environment}.model")
-    return dataclasses.replace(config, model=model)
+def _method(blocks: dict[str, MethodParams], name: str, of: str, where: str) -> MethodParams:
+    """One method's block, checked; a variant's is filled up with that of the method it changes."""
+    block, module = blocks[name], methods.load(of)
+    if of != name and of not in blocks:
+        raise UserError(f"{where}.{of} is missing: {name} changes it")
+    train, sample = {}, {}
+    for env in block.train | block.sample:
+        envs.spec(env)
+    for env, values in block.train.items():
+        key = f"{where}.{name}.train.{env}"
+        whole = values if of == name else merge(blocks[of].train.get(env), values, key)
+        config = build(TrainingConfig, whole, key)
+        train[env] = dataclasses.replace(config, model=build(module.Config, config.model, f"{key}.model"))
+    for env, values in block.sample.items():
+        key = f"{where}.{name}.sample.{env}"
+        whole = values if of == name else merge(blocks[of].sample.get(env), values, key)
+        sample[env] = build(module.Sampling, whole, key)
+        if env in train:
+            _fits(train[env].model, sample[env], key)
+    return MethodParams(block.label, train, sample)
+
+
+def _fits(model: Any, sampling: Any, where: str) -> None:
+    try:
+        model.check(sampling)
+    except ValueError as error:
+        raise UserError(f"{where}: {error}") from None
+
+
+def _study(params: Params, name: str, study: Study, where: str) -> None:
+    """Every sampling of a study must be one that its cell could have."""
+    whole = dataclasses.asdict(params.sampling(study.env, study.method))
+    for combination in itertools.product(*study.vary.values()):
+        changed = {**whole, **dict(zip(study.vary, combination, strict=True))}
+        sampling = build(methods.load(study.of).Sampling, changed, where)
+        _fits(params.methods[study.method].train[study.env].model, sampling, where)
+
+
+def merge(base: Any, changes: Any, where: str) -> dict[str, Any]:
+    """Nested mappings with some leaves changed.
+
+    Raises:
+        UserError: a key of `changes` is not one of `base`.
+    """
+    merged = dict(base or {})
+    for key, value in (changes or {}).items():
+        if key not in merged:
+            raise UserError(f"{where}.{key} = {value!r}: unknown key; allowed are {', '.join(merged) or 'none'}")
+        merged[key] = merge(merged[key], value, f"{where}.{key}") if isinstance(merged[key], dict) else value
+    return merged
 
 
 if __name__ == "__main__":
@@ -219,6 +357,6 @@ if __name__ == "__main__":
 
     def main() -> None:
         params = load()
-        print(f"{PATH}: profile {params.profile}, {len(params.grid.envs) * len(params.grid.methods)} cells, valid")
+        print(f"{PATH}: profile {params.profile}, {len(params.cells)} cells, {len(params.studies)} studies, valid")
 
     run(main)

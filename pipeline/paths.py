@@ -28,11 +28,11 @@ def episodes(environment: str, method: str) -> Path:
     return Path("results") / environment / f"{method}.csv"
 
 
-def metrics(environment: str, method: str) -> Path:
-    """Evaluation of one cell, means and deviations."""
-    return Path("metrics") / environment / f"{method}.json"
+def study(name: str) -> Path:
+    """Evaluation of one study, a row an episode and sampling."""
+    return Path("results/studies") / f"{name}.csv"
 
 
-def videos(environment: str, method: str) -> Path:
-    """A folder with films of one cell; empty where none were asked for."""
-    return Path("videos") / environment / method
+def film(environment: str, method: str) -> Path:
+    """A folder with the film of one cell, `rollout.webm`, and the filmed episode's row, `rollout.json`."""
+    return Path("films") / environment / method

@@ -24,7 +24,9 @@ Result = TypeVar("Result")
 
 
 def available_workers() -> int:
-    """Number of processors this process may use."""
+    """Number of processors this process may use: the environment variable BESO_WORKERS, or all it can run on."""
+    if share := os.environ.get("BESO_WORKERS"):  # of a stage that runs beside others (pipeline.run)
+        return int(share)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

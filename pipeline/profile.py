@@ -1,5 +1,7 @@
-"""`python -m pipeline.profile NAME` writes params.yaml from profiles/paper.yaml and what profiles/NAME.yaml changes.
+"""`python -m pipeline.profile NAME` writes params.yaml from profiles/paper/ and what profiles/NAME/ changes.
 
+A profile is a folder of files: common.yaml, and one a room (environment). The complete profile's files are joined,
+common.yaml first; in those of another profile, `null` for a whole cell, method, study or environment leaves it out.
 Comments are kept, and every leaf that changes in params.yaml is printed.
 """
 
@@ -13,10 +15,12 @@ from ruamel.yaml import YAML
 from beso.errors import UserError
 from beso.files import write_text
 from pipeline import params
+from pipeline.params import Params
 from pipeline.stage import run
 
 FOLDER = Path("profiles")
 COMPLETE = "paper"
+FIRST = "common.yaml"
 
 
 def render(name: str) -> str:
@@ -25,19 +29,30 @@ def render(name: str) -> str:
     Raises:
         UserError: no such profile, it changes a key that the complete profile lacks, or its values do not check.
     """
-    available = sorted(path.stem for path in FOLDER.glob("*.yaml"))
+    available = sorted(path.name for path in FOLDER.iterdir() if path.is_dir())
     if name not in available:
         raise UserError(f"profile {name!r} is not one of {', '.join(available)}")
     yaml = YAML()
     yaml.width = 120
-    values = yaml.load((FOLDER / f"{COMPLETE}.yaml").read_text(encoding="utf-8"))
+    values: Any = None
+    for path in _files(COMPLETE):
+        part = yaml.load(path.read_text(encoding="utf-8"))
+        if values is None:
+            values = part
+        else:
+            _join(values, part, str(path))
     if name != COMPLETE:
-        changes = params.read_yaml(FOLDER / f"{name}.yaml") or {}
-        _merge(values, changes, f"profiles/{name}.yaml")
+        for path in _files(name):
+            _change(values, params.read_yaml(path) or {}, str(path))
     text = io.StringIO()
     yaml.dump(values, text)
     params.parse(YAML(typ="safe").load(text.getvalue()), f"profile {name}")
     return text.getvalue()
+
+
+def load(name: str) -> Params:
+    """One profile's parameters. Raises UserError as `render` does."""
+    return params.parse(YAML(typ="safe").load(render(name)), f"profile {name}")
 
 
 def leaves(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
@@ -49,12 +64,31 @@ def leaves(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         yield key, values
 
 
-def _merge(values: Any, changes: Any, where: str) -> None:
+def _files(name: str) -> list[Path]:
+    return sorted((FOLDER / name).glob("*.yaml"), key=lambda path: (path.name != FIRST, path.name))
+
+
+def _join(values: Any, part: Any, where: str) -> None:
+    """Add the keys of another file, with their comments; mappings that both have are joined."""
+    for key, value in part.items():
+        if values.get(key) is None:
+            values[key] = value
+            if key in part.ca.items and key not in values.ca.items:
+                values.ca.items[key] = part.ca.items[key]
+        elif isinstance(value, dict) and isinstance(values[key], dict):
+            _join(values[key], value, f"{where}.{key}")
+        else:
+            raise UserError(f"{where}: {key} is given twice")
+
+
+def _change(values: Any, changes: Any, where: str) -> None:
     for key, value in changes.items():
         if key not in values:
-            raise UserError(f"{where}: {key} is not a key of profiles/{COMPLETE}.yaml there")
-        if isinstance(value, dict) and isinstance(values[key], dict):
-            _merge(values[key], value, f"{where}.{key}")
+            raise UserError(f"{where}: {key} is not a key of profiles/{COMPLETE} there")
+        if value is None and isinstance(values[key], dict):
+            del values[key]
+        elif isinstance(value, dict) and isinstance(values[key], dict):
+            _change(values[key], value, f"{where}.{key}")
         else:
             if key != "profile":
                 _note(values, key)

@@ -24,10 +24,15 @@ def run(main: Callable[..., None], *arguments: str) -> None:
     Args:
         arguments: names of the positional arguments, for the usage line.
     """
-    log_to_stderr()
     given = sys.argv[1:]
     if len(given) != len(arguments):
         _fail("usage: " + " ".join([os.path.basename(sys.argv[0]), *(name.upper() for name in arguments)]), 2)
+    guard(main, *given)
+
+
+def guard(main: Callable[..., None], *given: str) -> None:
+    """Call `main` with arguments that it checks itself; exit codes as `run`."""
+    log_to_stderr()
     try:
         main(*given)
     except KeyboardInterrupt:

@@ -1,12 +1,12 @@
 """Evaluate every seed of one (environment, method) cell."""
 
-from pipeline import params
-from pipeline.evaluation import evaluate_cell
+from pipeline.cells.evaluation import evaluate_cell
+from pipeline.params import load
 from pipeline.stage import run
 
 
 def main(environment: str, method: str) -> None:
-    evaluate_cell(params.load(), environment, method)
+    evaluate_cell(load(), environment, method)
 
 
 if __name__ == "__main__":

@@ -3,17 +3,18 @@
 import pandas as pd
 
 from beso.files import write_text
-from pipeline import page, params, paths, tables
-from pipeline.report import gather
+from pipeline import paths
+from pipeline.params import load
+from pipeline.report import page, tables
+from pipeline.report.gather import gather
 from pipeline.stage import run
 
 
 def main() -> None:
-    configuration = params.load()
-    values = gather(configuration)
-    latency = pd.read_csv(paths.LATENCY)
+    params = load()
+    values, latency = gather(params), pd.read_csv(paths.LATENCY)
     write_text(paths.REPORTS / "latency.tex", tables.render("latency.tex.j2", {**values, "latency": latency}))
-    write_text(paths.REPORTS / "report.html", page.render(configuration, values, latency))
+    write_text(paths.REPORTS / "report.html", page.render(params, values, latency))
 
 
 if __name__ == "__main__":

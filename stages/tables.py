@@ -1,17 +1,20 @@
-"""Tables, comparison and figures from evaluation rows."""
+"""Tables, comparison, metrics and figures from evaluation rows."""
 
-from beso.files import write_text
-from pipeline import figures, hyperparameters, params, paths, report, tables
+from beso.files import write_json, write_text
+from pipeline import paths
+from pipeline.params import load
+from pipeline.report import figures, hyperparameters, metrics, tables
+from pipeline.report.gather import gather
 from pipeline.stage import run
 
 
 def main() -> None:
-    configuration = params.load()
-    values = report.gather(configuration)
-    tables_values = {**values, "hyperparameters": hyperparameters.tables(configuration)}
-    write_text(paths.REPORTS / "tables.tex", tables.render("tables.tex.j2", tables_values))
+    params = load()
+    values = gather(params) | {"hyperparameters": hyperparameters.tables(params)}
+    write_text(paths.REPORTS / "tables.tex", tables.render("tables.tex.j2", values))
     write_text(paths.REPORTS / "comparison.csv", values["comparison"].to_csv(index=False, float_format="%.6g"))
-    figures.draw_all(configuration, values["comparison"], paths.REPORTS / "figures")
+    write_json(paths.REPORTS / "metrics.json", metrics.metrics(params))
+    figures.draw_all(params, values["comparison"], paths.REPORTS / "figures")
 
 
 if __name__ == "__main__":

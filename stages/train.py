@@ -1,12 +1,12 @@
 """Train every seed of one (environment, method) cell."""
 
-from pipeline import params
+from pipeline.cells.training import train_cell
+from pipeline.params import load
 from pipeline.stage import run
-from pipeline.training import train_cell
 
 
 def main(environment: str, method: str) -> None:
-    train_cell(params.load(), environment, method)
+    train_cell(load(), environment, method)
 
 
 if __name__ == "__main__":

@@ -6,25 +6,38 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
+from beso import envs, methods
+
 ROOT = Path(__file__).parents[1]
 PROJECT = ("beso", "pipeline", "stages")
 STAGES = YAML(typ="safe").load((ROOT / "dvc.yaml").read_text())["stages"]
-GRID = YAML(typ="safe").load((ROOT / "params.yaml").read_text())["grid"]
+ENVIRONMENTS, METHODS = envs.names(), methods.names()
+
+# Not among the deps: what checks parameters (their values are tracked themselves), moves files, writes messages, starts
+# workers or imports by name. Imports are not followed through these files either.
+MACHINERY = {*(p.relative_to(ROOT) for p in (ROOT / "pipeline").glob("*.py"))}
+MACHINERY |= {Path("beso") / name for name in ("config.py", "errors.py", "files.py")}
+MACHINERY |= {Path("beso") / name / "__init__.py" for name in ("envs", "methods")}
 
 
-def imports(path):
-    """Project modules that a file imports when it runs, as paths; imports for type checkers alone do not count."""
+def imports(path, within_functions=True):
+    """Project modules that a file imports when it runs, as paths; imports for type checkers alone do not count.
+
+    Args:
+        within_functions: whether imports in functions count.
+    """
     tree = ast.parse((ROOT / path).read_text())
-    for_types = {
+    left_out = {
         id(inner)
         for node in ast.walk(tree)
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        if (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+        or (isinstance(node, ast.FunctionDef) and not within_functions)
         for inner in ast.walk(node)
     }
     found = set()
     for node in ast.walk(tree):
         names = []
-        if id(node) in for_types:
+        if id(node) in left_out:
             continue
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -40,61 +53,104 @@ def imports(path):
     return found
 
 
-def closure(paths):
+def closure(paths, within_functions=True):
     seen, waiting = set(), [Path(p) for p in paths]
     while waiting:
         path = waiting.pop()
-        if path not in seen:
+        if path not in seen and path not in MACHINERY:
             seen.add(path)
-            waiting += imports(path)
-    return seen
+            waiting += imports(path, within_functions)
+    return {p for p in seen if not is_docstring_only(p)}
+
+
+def is_docstring_only(path):
+    return all(isinstance(node, ast.Expr) for node in ast.parse((ROOT / path).read_text()).body)
 
 
 def expand(text, env, method):
-    return text.replace("${item.env}", env).replace("${item.method}", method)
+    for name, value in {"item.env": env, "item.method": method, "item.of": method, "key": env}.items():
+        text = text.replace("${" + name + "}", value)
+    return text
+
+
+def definition(stage):
+    return STAGES[stage].get("do", STAGES[stage])
 
 
 def declared(stage, env, method):
     """The project's Python files among a cell's deps; a folder stands for all files in it."""
     files = set()
-    for dep in STAGES[stage]["deps"]:
+    for dep in definition(stage)["deps"]:
         path = Path(expand(dep, env, method))
         if path.parts[0] in PROJECT:
+            assert (ROOT / path).exists(), path
             files |= {p.relative_to(ROOT) for p in (ROOT / path).rglob("*.py")} if (ROOT / path).is_dir() else {path}
-    return {f for f in files if f.suffix == ".py" and (ROOT / f).read_text().strip()}
+    return {f for f in files if f.suffix == ".py" and not is_docstring_only(f)} - MACHINERY
 
 
-BY_NAME = {  # what a stage imports by the names in its cell
-    "collect": ["beso/demonstrators/{env}.py"],
-    "train": ["beso/methods/{method}.py"],
-    "evaluate": ["beso/methods/{method}.py", "beso/envs/{env}.py"],
-    "latency": [f"beso/methods/{method}.py" for method in GRID["methods"]],
-    "fork": [f"beso/methods/{method}.py" for method in GRID["methods"]],
-    "tables": [],
-    "page": [],
-}
+def room(env, *parts):
+    return [p.relative_to(ROOT).as_posix() for part in parts for p in (ROOT / "beso/envs" / env).glob(part)]
+
+
+def by_name(stage, env, method):
+    """What a stage imports by the names in its cell."""
+    all_methods = [f"beso/methods/{name}.py" for name in METHODS]
+    played = [f"beso/methods/{method}.py", *room(env, "spec.py", "evaluation.py")]
+    return {
+        "collect": room(env, "spec.py", "demonstrations/*.py"),
+        "train": [f"beso/methods/{method}.py", *room(env, "spec.py")],
+        "evaluate": played,
+        "study": played,
+        "film": played,
+        "latency": all_methods,
+        "fork": all_methods,
+        "tables": [path for name in ENVIRONMENTS for path in room(name, "spec.py", "report.py")],
+        "page": [path for name in ENVIRONMENTS for path in room(name, "report.py")],
+    }[stage]
+
+
+WHOLE = {"tables", "page", "latency", "fork"}  # folders as they are, though not all of them is imported
 
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_deps_are_what_the_stage_imports(stage):
-    """No cell lacks a dep; no dep is unused by all cells of the stage."""
+    """No cell lacks a dep; no dep is unused by all cells of the stage.
+
+    Training neither acts nor checks samplings, which is where methods import samplers (beso.diffusion.score_policy).
+    """
     used_by_any = set()
-    for env in GRID["envs"]:
-        for method in GRID["methods"]:
-            entry = [f"stages/{stage}.py", *(name.format(env=env, method=method) for name in BY_NAME[stage])]
-            used = closure(entry)
+    for env in ENVIRONMENTS:
+        for method in METHODS:
+            entry = [f"stages/{stage}.py", *by_name(stage, env, method)]
+            used = closure(entry, within_functions=stage != "train")
             names = declared(stage, env, method)
             assert used - names == set(), "imported, but not among the deps"
-            used_by_any |= used | {Path(f"beso/methods/{method}.py")}
-    extra = set().union(*(declared(stage, e, m) for e in GRID["envs"] for m in GRID["methods"])) - used_by_any
-    assert extra == set(), "among the deps, but never imported"
+            used_by_any |= used
+    extra = set().union(*(declared(stage, e, m) for e in ENVIRONMENTS for m in METHODS)) - used_by_any
+    assert stage in WHOLE or extra == set(), "among the deps, but never imported"
 
 
-def test_a_methods_file_is_a_dep_of_its_own_cells_only():
-    for stage in ("train", "evaluate"):
-        for method in GRID["methods"]:
-            methods = {p for p in declared(stage, "block_push", method) if p.parent == Path("beso/methods")}
-            assert methods == {Path("beso/methods/__init__.py"), Path(f"beso/methods/{method}.py")}
+def stale(path):
+    """Stages (of block push with C-BESO and GCBC) that an edit of a file reruns, those that follow not counted."""
+    return {
+        f"{stage} {method}"
+        for stage in STAGES
+        for method in ("c_beso", "gcbc")
+        if Path(path) in declared(stage, "block_push", method)
+    }
+
+
+def test_what_an_edit_reruns():
+    cells = {f"{stage} {method}" for stage in ("evaluate", "study", "film") for method in ("c_beso", "gcbc")}
+    others = {f"{stage} {method}" for stage in ("latency", "fork") for method in ("c_beso", "gcbc")}
+    assert stale("beso/diffusion/samplers.py") == cells | others, "training does not depend on samplers"
+    report = {f"{stage} {method}" for stage in ("tables", "page") for method in ("c_beso", "gcbc")}
+    assert stale("beso/envs/block_push/report.py") == report, "a label reruns the report alone"
+    assert stale("pipeline/report/statistics.py") == report
+    assert stale("pipeline/cells/film.py") == {"film c_beso", "film gcbc"}
+    assert not any(name.startswith("collect") for name in stale("beso/envs/block_push/evaluation.py"))
+    of_gcbc = {f"{stage} gcbc" for stage in ("train", "evaluate", "study", "film")}
+    assert stale("beso/methods/gcbc.py") == of_gcbc | others
 
 
 def test_imports_point_downward():
@@ -105,13 +161,41 @@ def test_imports_point_downward():
             assert tops <= allowed[top], path
 
 
-def test_only_training_rollouts_and_checkpoints_use_methods_inside_the_library():
+def test_rooms_of_the_pipeline_do_not_mix():
+    """What stages call knows nothing of the report, nor the report of it; tools may use both."""
+    for folder, forbidden in (("cells", {"report", "tools"}), ("report", {"cells", "tools"})):
+        for path in (ROOT / "pipeline" / folder).glob("*.py"):
+            assert not {p.parts[1] for p in imports(path.relative_to(ROOT)) if p.parts[0] == "pipeline"} & forbidden, (
+                path
+            )
+
+
+def test_only_a_few_use_methods_inside_the_library():
     users = {
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "beso").rglob("*.py")
         if path.parent.name != "methods" and Path("beso/methods/__init__.py") in imports(path.relative_to(ROOT))
     }
-    assert users == {"beso/training.py", "beso/checkpoint.py", "beso/rollout.py"}
+    assert users == {
+        "beso/training.py",
+        "beso/checkpoint.py",
+        "beso/policy.py",
+        "beso/diffusion/score_policy.py",
+    }
+
+
+@pytest.mark.parametrize("kind", ["envs", "methods"])
+def test_nothing_outside_its_room_names_an_environment_or_a_method(kind):
+    """Neither in code nor in dvc.yaml: names stand in params.yaml, the profiles and the paper's numbers."""
+    folder, names = ROOT / "beso" / kind, ENVIRONMENTS if kind == "envs" else METHODS
+    files = [p for top in PROJECT for p in (ROOT / top).rglob("*.py") if not p.is_relative_to(folder)]
+    for path in files:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert node.value not in names or path == ROOT / "pipeline/tools/bench.py", (path, node.value)
+    text = (ROOT / "dvc.yaml").read_text()
+    assert not [name for name in names if name in text]
+    assert len(text.splitlines()) <= 160
 
 
 def test_stage_scripts_are_short():
@@ -120,6 +204,6 @@ def test_stage_scripts_are_short():
 
 
 def test_parameters_of_sampling_do_not_reach_training():
-    assert not any(".sample." in p for p in STAGES["train"]["params"])
-    for stage in STAGES.values():
-        assert not any(p.startswith("machine") for p in stage.get("params", []))
+    assert not any(".sample." in p for p in definition("train")["params"])
+    for stage in STAGES:
+        assert not any(p.startswith("machine") for p in definition(stage).get("params", []))

@@ -25,11 +25,17 @@ ARRAYS = ("observations", "actions", "tasks", "episode_ends")
 
 @dataclass(frozen=True)
 class Episode:
-    """One recorded episode of T steps: observations (T, O), actions (T, A), first completions of tasks (T, K)."""
+    """One recorded episode of T steps.
+
+    Attributes:
+        observations, actions, tasks: (T, O), (T, A), and first completions of tasks (T, K).
+        failed_takes: how often its demonstrator failed and began anew.
+    """
 
     observations: np.ndarray
     actions: np.ndarray
     tasks: np.ndarray
+    failed_takes: int = 0
 
 
 @dataclass(frozen=True)
@@ -55,10 +61,6 @@ class PlayDataset:
     def lengths(self) -> np.ndarray:
         """Steps of each episode, (episodes,)."""
         return self.episode_ends - self.episode_starts
-
-    def succeeded(self, spec: PlaySpec) -> np.ndarray:
-        """Which episodes ended by success and not by the limit of their length, (episodes,) booleans."""
-        return self.lengths < spec.longest
 
     def completed(self, episode: int) -> tuple[int, ...]:
         """Tasks completed in an episode, in order of their first completion."""

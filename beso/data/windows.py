@@ -8,12 +8,13 @@ One sample from an episode of T steps, window W, goal window G (here W = 5, G = 
     goal                                  .  .  .  [g]  .  .  .     uniform in start+W ... T-G
 
 The window starts anywhere that leaves room for a goal after it, so a goal never precedes its window, never overlaps
-it, and may be the episode's last state. Two methods want something else of the same windows: with `goal_at_end` the
+it, and may be the episode's last state; with a horizon H it starts at most H steps after the window's last state, as
+hours of play without a cut need it. Two methods want something else of the same windows: with `goal_at_end` the
 window's own last states are its goal, and `lookahead` adds the states that follow it:
 
     step            0  1  2  3  4  5  6  7  8  9  ...        T-1
     goal at end                       [g]
-    future, H = 3                         [f  f  f]              the last state again where the episode is over
+    future, L = 3                         [f  f  f]              the last state again where the episode is over
 """
 
 from typing import NamedTuple
@@ -35,7 +36,7 @@ class Batch(NamedTuple):
     Attributes:
         observations, actions: (B, W, O) and (B, W, A).
         goal: (B, G, O), masked dimensions zero.
-        future: (B, H, O) the states after the window, not masked.
+        future: (B, L, O) the states after the window, not masked.
         goal_step: (B,) steps from the window's last state to the goal's first.
     """
 
@@ -52,8 +53,9 @@ class Windows:
     Args:
         episodes: which episodes, indices into the dataset.
         window, goal_window: W and G.
-        lookahead: H.
+        lookahead: L.
         goal_at_end: the goal is the window's own last states.
+        goal_horizon: H, or None for the rest of the episode.
 
     Raises:
         UserError: an episode is too short for a window and a goal.
@@ -69,6 +71,7 @@ class Windows:
         device: torch.device | str = "cpu",
         lookahead: int = 0,
         goal_at_end: bool = False,
+        goal_horizon: int | None = None,
     ) -> None:
         starts, ends = dataset.episode_starts[episodes], dataset.episode_ends[episodes]
         goal_room = 0 if goal_at_end else goal_window
@@ -83,7 +86,10 @@ class Windows:
         self.window, self.goal_window, self.goal_at_end = window, goal_window, goal_at_end
         self._starts = torch.from_numpy(np.arange(room.sum()) + first_of_episode).to(device)
         self._last_steps = torch.from_numpy(np.repeat(ends - 1, room)).to(device)
-        self._last_goals = torch.from_numpy(np.repeat(ends - goal_window, room)).to(device)
+        last_goals = np.repeat(ends - goal_window, room)
+        if goal_horizon is not None:
+            last_goals = np.minimum(last_goals, np.arange(room.sum()) + first_of_episode + window - 1 + goal_horizon)
+        self._last_goals = torch.from_numpy(last_goals).to(device)
         self._observations = scaling.observations(torch.from_numpy(np.array(dataset.observations))).to(device)
         self._goals = scaling.mask_goals(self._observations)
         self._actions = scaling.actions(torch.from_numpy(np.array(dataset.actions))).to(device)

@@ -7,7 +7,8 @@ One window of T steps:
     goal           g_1 .. g_G
 
 Training noises all T actions at one level sigma a window and learns to denoise them all. At inference only a_T is
-noisy.
+noisy. Samplers, schedules and guidance are imported where a policy acts: training needs none of them, so that a new
+sampler retrains nothing.
 """
 
 import functools
@@ -17,14 +18,12 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from beso.config import require, require_positive
+from beso.config import require, require_name, require_positive
 from beso.data.windows import Batch
 from beso.diffusion.densities import DENSITIES
-from beso.diffusion.guidance import classifier_free
 from beso.diffusion.preconditioning import broadcast_to_actions, network_target, scales
-from beso.diffusion.samplers import SAMPLERS, Denoise
-from beso.diffusion.schedules import SCHEDULES
 from beso.memory import Memory
+from beso.methods import Policy, SamplingConfig
 from beso.noise import Noise
 
 
@@ -41,18 +40,19 @@ class DiffusionConfig:
     sigma_data: float
     sigma_min: float
     sigma_max: float
-    density: Literal["log_logistic", "log_normal", "uniform"]
+    density: str
     location: float
     scale: float
 
     def __post_init__(self) -> None:
         require(self.sigma_data > 0, f"sigma_data = {self.sigma_data}: must be above 0")
         _check_range(self.sigma_min, self.sigma_max)
+        require_name(self, "density", DENSITIES)
         require(self.scale > 0, f"scale = {self.scale}: must be above 0")
 
 
 @dataclass(frozen=True)
-class SamplingConfig:
+class DiffusionSampling(SamplingConfig):
     """How actions are generated from a trained model.
 
     Attributes:
@@ -64,18 +64,8 @@ class SamplingConfig:
         context_length: time steps of the context in rollouts; null takes the training window.
     """
 
-    sampler: Literal[
-        "euler",
-        "euler_ancestral",
-        "heun",
-        "ddim",
-        "dpm_2",
-        "dpm_2_ancestral",
-        "dpmpp_2s",
-        "dpmpp_2s_ancestral",
-        "dpmpp_2m",
-    ]
-    schedule: Literal["exponential", "linear", "karras", "iddpm", "ve", "vp"]
+    sampler: str
+    schedule: str
     steps: int
     sigma_min: float
     sigma_max: float
@@ -83,9 +73,24 @@ class SamplingConfig:
     context_length: int | None
 
     def __post_init__(self) -> None:
+        from beso.diffusion.samplers import SAMPLERS
+        from beso.diffusion.schedules import SCHEDULES
+
+        require_name(self, "sampler", SAMPLERS)
+        require_name(self, "schedule", SCHEDULES)
         require_positive(self, "steps", "context_length")
         _check_range(self.sigma_min, self.sigma_max)
-        SCHEDULES[self.schedule](self.steps, self.sigma_min, self.sigma_max)  # some refuse too many steps
+        self.sigmas()  # some schedules refuse too many steps
+
+    def sigmas(self) -> list[float]:
+        """The noise levels that the sampler stops at, `steps` + 1 of them."""
+        from beso.diffusion.schedules import SCHEDULES
+
+        return SCHEDULES[self.schedule](self.steps, self.sigma_min, self.sigma_max).tolist()
+
+    def context_steps(self, trained: int) -> int:
+        """The context's length if one is given."""
+        return self.context_length or trained
 
 
 def _check_range(sigma_min: float, sigma_max: float) -> None:
@@ -98,18 +103,20 @@ def _scales_of_one(sigma: float, sigma_data: float) -> list[float]:
     return [value.item() for value in scales(torch.tensor(sigma), sigma_data)]
 
 
-def validation_sampling(diffusion: DiffusionConfig) -> SamplingConfig:
-    """The paper's default sampler over the training range; validation errors are measured with it."""
-    return SamplingConfig("ddim", "exponential", 3, diffusion.sigma_min, diffusion.sigma_max, "clean", None)
+def default_sampling(diffusion: DiffusionConfig) -> DiffusionSampling:
+    """The paper's default sampler over the training range."""
+    return DiffusionSampling("ddim", "exponential", 3, diffusion.sigma_min, diffusion.sigma_max, "clean", None)
 
 
-class ScorePolicy(nn.Module):
+class ScorePolicy(nn.Module, Policy):
     """Denoiser, loss and sampling around an inner network.
 
     Args:
         network: F, called as networks.transformer.ScoreTransformer is.
-        diffusion, sampling: configurations of training noise and of action generation.
-        goal_dropout: probability that a training sample loses its goal (zeros in scaled units).
+        diffusion, sampling: configurations of training noise and of action generation; None is the default sampling.
+        goal_dropout: probability that a training sample loses its goal.
+        goal_dropout_from: share of the training before which no goal is lost.
+        null_goal: (G, O) what a network gets for a lost goal before training, which learns it; None is zeros, always.
         guidance_scale: lambda of classifier-free guidance: 1 conditional, 0 unconditional.
     """
 
@@ -117,16 +124,32 @@ class ScorePolicy(nn.Module):
         self,
         network: nn.Module,
         diffusion: DiffusionConfig,
-        sampling: SamplingConfig,
+        sampling: DiffusionSampling | None,
         goal_dropout: float = 0.0,
+        goal_dropout_from: float = 0.0,
+        null_goal: Tensor | None = None,
         guidance_scale: float = 1.0,
     ) -> None:
         super().__init__()
         self.network = network
-        self.diffusion, self.sampling = diffusion, sampling
-        self.goal_dropout, self.guidance_scale = goal_dropout, guidance_scale
-        schedule = SCHEDULES[sampling.schedule]
-        self.sigmas = schedule(sampling.steps, sampling.sigma_min, sampling.sigma_max).tolist()
+        self.diffusion, self.sampling = diffusion, sampling or default_sampling(diffusion)
+        self.goal_dropout, self.goal_dropout_from = goal_dropout, goal_dropout_from
+        self.drops_goals = goal_dropout > 0
+        # Three dimensions, so that optimizers do not take it for a hidden matrix.
+        self.null_goal = None if null_goal is None else nn.Parameter(null_goal[None].clone())
+        self.guidance_scale = guidance_scale
+
+    def schedule(self, done: float) -> None:
+        """Goals are lost from a share of the training on: a network must first find out what they are good for."""
+        self.drops_goals = self.goal_dropout > 0 and done >= self.goal_dropout_from
+
+    def without_goal(self, goal: Tensor) -> Tensor:
+        """What stands for no goal, in the shape (B, G, O) of a batch of goals."""
+        return torch.zeros_like(goal) if self.null_goal is None else self.null_goal.expand_as(goal)
+
+    @functools.cached_property
+    def _sigmas(self) -> list[float]:
+        return self.sampling.sigmas()
 
     def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:
         """Denoising score matching (paper, Eq. 6 and Alg. 1), a scalar.
@@ -140,9 +163,9 @@ class ScorePolicy(nn.Module):
         density = DENSITIES[config.density]
         sigma = density(uniform, config.sigma_min, config.sigma_max, config.location, config.scale).to(clean.dtype)
         goal = batch.goal
-        if self.goal_dropout and self.training:
+        if self.drops_goals and self.training:
             kept = torch.rand(len(goal), 1, 1, generator=generator, device=goal.device) >= self.goal_dropout
-            goal = goal * kept
+            goal = torch.where(kept, goal, self.without_goal(goal))
         eps = torch.randn(clean.shape, generator=generator, device=clean.device)
         noisy = clean + sigma[:, None, None] * eps
         at = scales(sigma, config.sigma_data)
@@ -173,12 +196,15 @@ class ScorePolicy(nn.Module):
         Returns:
             (B, A) scaled action.
         """
+        from beso.diffusion.guidance import classifier_free
+        from beso.diffusion.samplers import SAMPLERS
+
         batch, previous = len(observations), actions.shape[1]
         guided = self.guidance_scale not in (0.0, 1.0)
         if self.guidance_scale == 0:
-            goal = torch.zeros_like(goal)
+            goal = self.without_goal(goal)
         elif guided:
-            goal = torch.cat([goal, torch.zeros_like(goal)])
+            goal = torch.cat([goal, self.without_goal(goal)])
             observations, actions = torch.cat([observations, observations]), torch.cat([actions, actions])
 
         clean = self.sampling.context == "clean"
@@ -189,11 +215,12 @@ class ScorePolicy(nn.Module):
                 return self.denoise(torch.cat([actions, a], dim=1), sigma, observations, goal)
             return self.denoise(a, sigma, observations, goal, last_only=False)
 
-        denoise: Denoise = classifier_free(bound, self.guidance_scale) if guided else bound
+        denoise = classifier_free(bound, self.guidance_scale) if guided else bound
         action_size = actions.shape[-1]
-        a = self.sigmas[0] * noise.normal(1, action_size)
+        sigmas = self._sigmas
+        a = sigmas[0] * noise.normal(1, action_size)
         if not clean:
             a = torch.cat([actions[:batch], a], dim=1)
         noise_steps = 1 if clean else previous + 1
         sampler = SAMPLERS[self.sampling.sampler]
-        return sampler(denoise, a, self.sigmas, lambda: noise.normal(noise_steps, action_size))[:, -1]
+        return sampler(denoise, a, sigmas, lambda: noise.normal(noise_steps, action_size))[:, -1]

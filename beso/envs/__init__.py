@@ -1,28 +1,60 @@
-"""Simulated environments, registered with gymnasium when this package is imported.
+"""Environments: a folder each, a room that holds all that is particular to it.
 
-Beside its environment class, each module defines how policies are evaluated in it:
+    <name>/spec.py                      SPEC: what training must know (beso.data.spec)
+    <name>/simulator/                   the gymnasium environment, registered when this package is imported
+    <name>/demonstrations/scripted.py   record(seed, index): one scripted demonstration
+    <name>/demonstrations/published.py  load(folder): published play data
+    <name>/evaluation.py                the protocol of its evaluation (beso.envs.protocol)
+    <name>/report.py                    what only the report must know: names, metrics, published statistics
 
-    MAX_ACTIONS                                  length of an episode
-    make(render_mode)                            an environment
-    evaluation_goal(states, observation)         the goal for an episode that starts with `observation`
-    result(info, goal_tasks)                     the share of the goal that was reached
-    goal_distance(observation, goal)             how far from the goal an episode ended
+Rooms are imported by name and piece by piece, so that training needs no simulator and a pipeline cell depends on the
+parts of its own room alone.
 """
 
+from __future__ import annotations
+
 import importlib
-from typing import Any
+import pkgutil
+from typing import TYPE_CHECKING, Any
 
-import gymnasium
+from beso.errors import UserError
 
-from beso.data.spec import spec
+if TYPE_CHECKING:
+    from beso.data.spec import PlaySpec
+    from beso.envs.protocol import Evaluation, Importer, Recorder, Report
 
-gymnasium.register("beso/BlockPush-v0", entry_point="beso.envs.block_push:BlockPushEnv")
+
+def names() -> list[str]:
+    """Names of all environments."""
+    return sorted(m.name for m in pkgutil.iter_modules(__path__) if m.ispkg)
 
 
-def load(name: str) -> Any:
-    """The module of one environment.
+def spec(name: str) -> PlaySpec:
+    """What training must know of one environment. Raises UserError, here and below, if there is none of that name."""
+    return _part(name, "spec").SPEC
 
-    Raises:
-        UserError: no such environment.
-    """
-    return importlib.import_module(f"beso.envs.{spec(name).name}")
+
+def evaluation(name: str) -> Evaluation:
+    """How policies are evaluated in one environment."""
+    return _part(name, "evaluation")
+
+
+def report(name: str) -> Report:
+    """What the report must know of one environment."""
+    return _part(name, "report")
+
+
+def recorder(name: str) -> Recorder:
+    """The function that records one scripted demonstration."""
+    return _part(name, "demonstrations.scripted").record
+
+
+def importer(name: str) -> Importer:
+    """The function that reads published play data."""
+    return _part(name, "demonstrations.published").load
+
+
+def _part(name: str, part: str) -> Any:
+    if name not in names():
+        raise UserError(f"environment {name!r} is not one of {', '.join(names())}")
+    return importlib.import_module(f"beso.envs.{name}.{part}")

@@ -1,11 +1,10 @@
-"""The methods of the paper's comparison, one module each, named as in `grid.methods`.
+"""The methods of the paper's comparison, one module each.
 
 A module defines
 
-    Config       what shapes the network (`methods.<name>.train.<env>.model`); has a `window`, and may have `lookahead`
-                 and `goal_at_end` (see beso.data.windows) and a `context` shorter than its window
-    Sampling     what only action generation needs (`methods.<name>.sample.<env>`); may have a `context_length`
-    Method       the policy
+    Config       what shapes the network (`methods.<name>.train.<env>.model`), a ModelConfig
+    Sampling     what only action generation needs (`methods.<name>.sample.<env>`), a SamplingConfig
+    Method       the policy, a Policy
 
 Modules are imported by name, so that a pipeline cell depends on its own method's file and on no other's.
 """
@@ -29,11 +28,49 @@ if TYPE_CHECKING:  # a cell that only checks parameters does not depend on these
     from beso.noise import Noise
 
 
-class Method(Protocol):
-    """What training and rollouts ask of a policy. All tensors are scaled."""
+class SamplingConfig:
+    """What a method's Sampling inherits."""
+
+    def context_steps(self, trained: int) -> int:
+        """Time steps of the context in rollouts, for a policy whose training suggests `trained`."""
+        return trained
+
+
+class ModelConfig:
+    """What a method's Config inherits: the windows it is trained on (beso.data.windows), and what it checks."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def window(self) -> int:
+            """Time steps in a training window; every Config has it."""
+
+    @property
+    def context(self) -> int:
+        """Time steps of the context in rollouts, unless the sampling asks for fewer."""
+        return self.window
+
+    @property
+    def lookahead(self) -> int:
+        """States after the window that the loss sees."""
+        return 0
+
+    @property
+    def goal_at_end(self) -> bool:
+        """Whether the goal is the window's own last states."""
+        return False
+
+    def check(self, sampling: Any) -> None:
+        """Raise ValueError where a Sampling does not fit."""
+        length = sampling.context_steps(self.context)
+        require(length <= self.window, f"context_length = {length}: must be at most the model's window, {self.window}")
+
+
+class Policy(Protocol):
+    """What training and rollouts ask of a policy, a torch.nn.Module. All tensors are scaled."""
 
     def __init__(self, config: Any, sampling: Any, sizes: Sizes, generator: torch.Generator) -> None:
-        """`sampling` None means the method's default, with which validation errors are measured."""
+        """`sampling` None means the method's default. Initial weights are drawn from `generator`."""
 
     def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:
         """Loss of a batch, a scalar, with random numbers from `generator`; dropout only in training mode."""
@@ -42,23 +79,18 @@ class Method(Protocol):
         """(B, T, O), (B, T-1, A), (B, G, O) -> next action (B, A). `memory` may be changed."""
 
     def prepare(self, actions: Tensor, seed: int) -> None:
-        """Optional: look at all scaled training actions (N, A) before the first update."""
+        """Look at all scaled training actions (N, A) before the first update."""
 
-    def state_dict(self) -> dict[str, Tensor]:
-        """Weights by name."""
-
-
-def context_length(config: Any, sampling: Any) -> int:
-    """Time steps of the context in rollouts, from a method's Config and Sampling: the training window or fewer."""
-    return getattr(sampling, "context_length", None) or getattr(config, "context", config.window)
+    def schedule(self, done: float) -> None:
+        """Hear before every update which share of the training is done."""
 
 
-def check_sampling(config: Any, sampling: Any) -> None:
-    """Raise ValueError where a method's Sampling does not fit its Config."""
-    length = context_length(config, sampling)
-    require(length <= config.window, f"context_length = {length}: must be at most the model's window, {config.window}")
-    chain, steps = getattr(config, "diffusion_steps", None), getattr(sampling, "steps", None)
-    require(not chain or not steps or steps <= chain, f"steps = {steps}: must be at most diffusion_steps, {chain}")
+class Module(Protocol):
+    """What a method's module offers."""
+
+    Config: type[ModelConfig]
+    Sampling: type[SamplingConfig]
+    Method: Any  # a Policy and a torch.nn.Module
 
 
 def names() -> list[str]:
@@ -66,7 +98,7 @@ def names() -> list[str]:
     return sorted(m.name for m in pkgutil.iter_modules(__path__))
 
 
-def load(name: str) -> Any:
+def load(name: str) -> Module:
     """The module of one method.
 
     Raises:
@@ -74,4 +106,5 @@ def load(name: str) -> Any:
     """
     if name not in names():
         raise UserError(f"method {name!r} is not one of {', '.join(names())}")
-    return importlib.import_module(f"beso.methods.{name}")
+    module: Any = importlib.import_module(f"beso.methods.{name}")
+    return module

@@ -5,14 +5,15 @@ from dataclasses import dataclass
 import torch
 
 from beso.data.spec import Sizes
-from beso.diffusion.score_policy import DiffusionConfig, SamplingConfig, ScorePolicy, validation_sampling
+from beso.diffusion.score_policy import DiffusionConfig, DiffusionSampling, ScorePolicy
+from beso.methods import ModelConfig
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
 
-Sampling = SamplingConfig
+Sampling = DiffusionSampling
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(ModelConfig):
     """The network and its training noise."""
 
     transformer: TransformerConfig
@@ -25,11 +26,11 @@ class Config:
 
 
 class Method(ScorePolicy):
-    """The policy. See beso.methods.Method."""
+    """The policy. See beso.methods.Policy."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__(
             ScoreTransformer(config.transformer, *sizes, generator=generator),
             config.diffusion,
-            sampling or validation_sampling(config.diffusion),
+            sampling,
         )

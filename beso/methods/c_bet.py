@@ -15,6 +15,7 @@ from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.errors import UserError
 from beso.memory import Memory
+from beso.methods import ModelConfig, Policy, SamplingConfig
 from beso.networks.sequence import SequenceTransformer
 from beso.noise import Noise, categorical
 
@@ -22,7 +23,7 @@ FOCUS = 2.0  # gamma of the focal loss (Lin et al. 2017)
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(ModelConfig):
     """The network, the bins, and the loss.
 
     Attributes:
@@ -49,12 +50,12 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(SamplingConfig):
     """Nothing to choose: the bin is always drawn."""
 
 
-class Method(nn.Module):
-    """The policy. See beso.methods.Method."""
+class Method(nn.Module, Policy):
+    """The policy. See beso.methods.Policy."""
 
     centres: Tensor
 

@@ -15,6 +15,7 @@ from beso.data.scaling import CLIP
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory
+from beso.methods import ModelConfig, Policy, SamplingConfig
 from beso.networks.mlp import MLP
 from beso.noise import Noise, categorical
 
@@ -22,7 +23,7 @@ GRADIENT_MARGIN = 1.0  # Florence et al.: the energy's slope is free up to here
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(ModelConfig):
     """Size of the energy network and its loss.
 
     Attributes:
@@ -50,7 +51,7 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(SamplingConfig):
     """The derivative-free search (Florence et al. 2022, Alg. 1).
 
     Attributes:
@@ -74,8 +75,8 @@ class Sampling:
 VALIDATION = Sampling(candidates=256, iterations=2, noise_scale=0.3, noise_shrink=0.5)
 
 
-class Method(nn.Module):
-    """The policy. See beso.methods.Method."""
+class Method(nn.Module, Policy):
+    """The policy. See beso.methods.Policy."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()

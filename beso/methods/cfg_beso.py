@@ -5,25 +5,36 @@ exaggerates what the goal changes.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 
 from beso.config import require_rate
 from beso.data.spec import Sizes
-from beso.diffusion.score_policy import DiffusionConfig, SamplingConfig, ScorePolicy, validation_sampling
+from beso.diffusion.score_policy import DiffusionConfig, DiffusionSampling, ScorePolicy
+from beso.methods import ModelConfig
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
 
 
 @dataclass(frozen=True)
-class Config:
-    """The network, its training noise, and the share of samples trained without a goal."""
+class Config(ModelConfig):
+    """The network, its training noise, and how it learns to do without a goal.
+
+    Attributes:
+        goal_dropout: share of samples trained without their goal.
+        goal_dropout_from: share of the training before which no goal is dropped.
+        null_goal: what stands for no goal: "zeros" in scaled units, or "learned", a goal of its own. Zeros are also the
+            mean of all goals, and so a goal that a demonstration could have.
+    """
 
     transformer: TransformerConfig
     diffusion: DiffusionConfig
     goal_dropout: float
+    goal_dropout_from: float
+    null_goal: Literal["zeros", "learned"]
 
     def __post_init__(self) -> None:
-        require_rate(self, "goal_dropout")
+        require_rate(self, "goal_dropout", "goal_dropout_from")
 
     @property
     def window(self) -> int:
@@ -32,20 +43,22 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Sampling(SamplingConfig):
+class Sampling(DiffusionSampling):
     """As for C-BESO, and the guidance scale lambda."""
 
     guidance_scale: float
 
 
 class Method(ScorePolicy):
-    """The policy. See beso.methods.Method."""
+    """The policy. See beso.methods.Policy."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__(
             ScoreTransformer(config.transformer, *sizes, generator=generator),
             config.diffusion,
-            sampling or validation_sampling(config.diffusion),
+            sampling,
             goal_dropout=config.goal_dropout,
+            goal_dropout_from=config.goal_dropout_from,
+            null_goal=torch.ones(sizes.goal_window, sizes.observation) if config.null_goal == "learned" else None,
             guidance_scale=sampling.guidance_scale if sampling else 1.0,
         )

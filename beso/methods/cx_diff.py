@@ -15,12 +15,13 @@ from beso.config import require, require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory
+from beso.methods import ModelConfig, Policy, SamplingConfig
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
 from beso.noise import Noise
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(ModelConfig):
     """The network and its chain of noise levels.
 
     Attributes:
@@ -46,9 +47,15 @@ class Config:
         """Time steps in a training window and in the context of `act`."""
         return self.transformer.window
 
+    def check(self, sampling: "Sampling") -> None:
+        """As for all methods, and no more steps than the chain has."""
+        super().check(sampling)
+        steps, chain = sampling.steps, self.diffusion_steps
+        require(steps is None or steps <= chain, f"steps = {steps}: must be at most diffusion_steps, {chain}")
+
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(SamplingConfig):
     """How actions are generated.
 
     Attributes:
@@ -65,9 +72,13 @@ class Sampling:
         require_positive(self, "steps", "context_length")
         require(self.extra_steps >= 0, f"extra_steps = {self.extra_steps}: must not be negative")
 
+    def context_steps(self, trained: int) -> int:
+        """The context's length if one is given."""
+        return self.context_length or trained
 
-class Method(nn.Module):
-    """The policy. See beso.methods.Method."""
+
+class Method(nn.Module, Policy):
+    """The policy. See beso.methods.Policy."""
 
     alpha_bar: Tensor
 

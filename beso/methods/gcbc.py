@@ -14,12 +14,13 @@ from beso.config import require_positive, require_rate
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory
+from beso.methods import ModelConfig, Policy, SamplingConfig
 from beso.networks.mlp import MLP
 from beso.noise import Noise
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(ModelConfig):
     """Size of the MLP.
 
     Attributes:
@@ -42,12 +43,12 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(SamplingConfig):
     """Nothing to choose: the policy is deterministic."""
 
 
-class Method(nn.Module):
-    """The policy. See beso.methods.Method."""
+class Method(nn.Module, Policy):
+    """The policy. See beso.methods.Policy."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()

@@ -21,6 +21,7 @@ from beso.config import require, require_positive, require_rate
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory, replans
+from beso.methods import ModelConfig, Policy, SamplingConfig
 from beso.networks import logistic_mixture
 from beso.networks.layers import dropout
 from beso.networks.mlp import MLP
@@ -32,7 +33,7 @@ SMALLEST_STD = 1e-4
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(ModelConfig):
     """Sizes of the four parts.
 
     Attributes:
@@ -83,7 +84,7 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(SamplingConfig):
     """How the policy acts.
 
     Attributes:
@@ -107,8 +108,8 @@ class Gaussian(NamedTuple):
         return Gaussian(self.mean.detach(), self.std.detach())
 
 
-class Method(nn.Module):
-    """The policy. See beso.methods.Method. Its memory holds plan, decoder state and steps since the episode's start."""
+class Method(nn.Module, Policy):
+    """The policy. See beso.methods.Policy. Its memory holds plan, decoder state and steps since the episode's start."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()

@@ -14,12 +14,13 @@ from beso.config import require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory, replans
+from beso.methods import ModelConfig, Policy, SamplingConfig
 from beso.networks.mlp import MLP
 from beso.noise import Noise
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(ModelConfig):
     """Size of the two MLPs, and their horizon.
 
     Attributes:
@@ -46,7 +47,7 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(SamplingConfig):
     """How the policy acts.
 
     Attributes:
@@ -59,8 +60,8 @@ class Sampling:
         require_positive(self, "replan")
 
 
-class Method(nn.Module):
-    """The policy. See beso.methods.Method. Its memory holds the sub-goal and the steps since the episode's start."""
+class Method(nn.Module, Policy):
+    """The policy. See beso.methods.Policy. Its memory holds the sub-goal and the steps since the episode's start."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from beso import methods
+from beso import envs, methods
 from beso.config import build
 from beso.data.play import Episode, assemble
-from beso.data.spec import SPECS
 from beso.training_config import OptimizationConfig, TrainingConfig, TrainingJob, ValidationConfig
 
 # The smallest sensible model of every method, as it would stand in params.yaml, and how it generates actions.
@@ -39,7 +38,13 @@ SAMPLING = {
 MODELS = {
     "gcbc": {"width": 32, "layers": 2, "dropout": 0.1},
     "c_beso": {"transformer": TRANSFORMER, "diffusion": DIFFUSION},
-    "cfg_beso": {"transformer": TRANSFORMER, "diffusion": DIFFUSION, "goal_dropout": 0.2},
+    "cfg_beso": {
+        "transformer": TRANSFORMER,
+        "diffusion": DIFFUSION,
+        "goal_dropout": 0.2,
+        "goal_dropout_from": 0.0,
+        "null_goal": "learned",
+    },
     "c_ibc": {"width": 32, "layers": 2, "counter_examples": 8, "energy_penalty": 0.005, "gradient_penalty": 1.0},
     "ril": {"width": 32, "layers": 2, "horizon": 4},
     "lmp": {
@@ -93,7 +98,7 @@ OPTIMIZATION = {
 
 @pytest.fixture
 def spec():
-    return SPECS["block_push"]
+    return envs.spec("block_push")
 
 
 @pytest.fixture
@@ -140,7 +145,13 @@ def make_job(small_models):
             build(OptimizationConfig, {**OPTIMIZATION, **optimization}, "optimization"),
         )
         return TrainingJob(
-            method, config, ValidationConfig(every, windows=6), train_fraction=0.7, root_seed=0, seed=seed
+            method=method,
+            config=config,
+            validation=ValidationConfig(every, windows=6),
+            train_fraction=0.7,
+            goal_horizon=None,
+            root_seed=0,
+            seed=seed,
         )
 
     return make

@@ -12,7 +12,6 @@ from beso.config import build
 from beso.data.scaling import Scaling
 from beso.errors import UserError
 from beso.noise import EpisodeNoise
-from beso.training import Trained
 
 CPU = torch.device("cpu")
 
@@ -37,16 +36,17 @@ def save(dataset, spec, make_job, sampling, tmp_path):
         weights = {key: value.detach().clone() for key, value in method.state_dict().items()}
         scaling = Scaling.fit(dataset, np.arange(3), spec)
         curve = [{"step": 8, "training_loss": 0.5}]
-        checkpoint.save(tmp_path, job, Trained(weights, scaling, curve), "digest")
+        checkpoint.save(tmp_path, job, spec.sizes, checkpoint.Trained(weights, scaling, curve), "digest")
         return method.eval(), scaling
 
     return save
 
 
 @pytest.fixture
-def load(sampling, spec, tmp_path):
+def load(sampling, tmp_path):
     def load(job, **changes):
-        return checkpoint.load(tmp_path, job, sampling(job, **changes), spec, CPU)
+        checkpoint.check(tmp_path, job)
+        return checkpoint.load(tmp_path, job.seed, sampling(job, **changes), CPU)
 
     return load
 
@@ -61,9 +61,10 @@ def refused(message, function, *arguments):
 def test_a_loaded_policy_acts_like_the_saved_one(save, load, make_job, name):
     job = make_job(name)
     saved, scaling = save(job)
-    loaded, loaded_scaling = load(job)
-    assert loaded_scaling == scaling
-    assert not loaded.training
+    loaded = load(job)
+    assert loaded.scaling == scaling
+    assert loaded.context == job.config.model.context
+    assert not loaded.method.training
     window = job.config.model.window
     generator = torch.Generator().manual_seed(1)
     observations, actions, goal = (
@@ -72,7 +73,7 @@ def test_a_loaded_policy_acts_like_the_saved_one(save, load, make_job, name):
     with torch.inference_mode():
         results = [
             policy.act(observations, actions, goal, EpisodeNoise([np.random.default_rng(i) for i in range(2)]), {})
-            for policy in (saved, loaded)
+            for policy in (saved, loaded.method)
         ]
     assert torch.equal(*results)
 
@@ -115,9 +116,10 @@ def test_a_checkpoint_of_another_configuration_is_refused_with_the_key(save, loa
 def test_sampling_may_change_after_training(save, load, make_job):
     job = make_job()
     save(job)
-    policy, _ = load(job, sampler="heun", steps=7)
-    assert policy.sampling.sampler == "heun"
-    assert len(policy.sigmas) == 8
+    policy = load(job, sampler="heun", steps=7, context_length=2)
+    assert policy.method.sampling.sampler == "heun"
+    assert len(policy.method.sampling.sigmas()) == 8
+    assert policy.context == 2
 
 
 def test_a_missing_model_is_refused(load, make_job, save, tmp_path):

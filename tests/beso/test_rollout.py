@@ -8,13 +8,16 @@ from beso import checkpoint, methods
 from beso.config import build
 from beso.data import play
 from beso.data.scaling import CLIP, Scaling
+from beso.errors import UserError
 from beso.evaluation_config import Chunk, EvaluationConfig, chunks
 from beso.noise import EpisodeNoise
-from beso.rollout import Agent, evaluate_chunk
-from beso.training import split, train
+from beso.policy import Agent, Policy
+from beso.rollout import EvaluationJob, evaluate
+from beso.seeding import generator
+from beso.training import train
 
 CPU = torch.device("cpu")
-CONFIG = EvaluationConfig(seed=3, rollouts=5, goals=("training", "held_out"), chunk=2, max_actions=4, video=False)
+CONFIG = EvaluationConfig(seed=3, rollouts=5, goals=("training", "held_out"), chunk=2, max_actions=4)
 
 
 class Recorder:
@@ -33,9 +36,15 @@ def scaling(dataset, spec):
     return Scaling.fit(dataset, np.arange(len(dataset)), spec)
 
 
-def test_agent_grows_and_then_slides_its_context(scaling):
+@pytest.fixture
+def make_agent(scaling):
+    """make_agent(method, context, goals) -> an agent around a policy in these units."""
+    return lambda method, context, goals: Agent(checkpoint.Loaded(method, scaling, context), goals, CPU)
+
+
+def test_agent_grows_and_then_slides_its_context(scaling, make_agent):
     policy = Recorder(0.25)
-    agent = Agent(policy, 3, scaling, np.ones((2, 1, 16)), CPU)
+    agent = make_agent(policy, 3, np.ones((2, 1, 16)))
     states = np.arange(5)[:, None, None] + np.zeros((5, 2, 16))
     for state in states:
         agent.act(state, noise=None)
@@ -48,18 +57,18 @@ def test_agent_grows_and_then_slides_its_context(scaling):
     assert (goal[..., list(scaling.goal_masked)] == 0).all()
 
 
-def test_agent_clips_what_it_does_and_what_it_remembers(scaling):
+def test_agent_clips_what_it_does_and_what_it_remembers(scaling, make_agent):
     policy = Recorder(9.0)
-    agent = Agent(policy, 3, scaling, np.ones((1, 1, 16)), CPU)
+    agent = make_agent(policy, 3, np.ones((1, 1, 16)))
     action = agent.act(np.zeros((1, 16)), noise=None)
     agent.act(np.zeros((1, 16)), noise=None)
     assert policy.calls[1][1] == pytest.approx(CLIP)
     assert action == pytest.approx(scaling.raw_actions(torch.full((1, 2), CLIP)).numpy())
 
 
-def test_agent_goes_on_with_the_running_episodes(scaling):
+def test_agent_goes_on_with_the_running_episodes(make_agent):
     policy = Recorder(0.0)
-    agent = Agent(policy, 2, scaling, np.arange(3)[:, None, None] + np.zeros((3, 1, 16)), CPU)
+    agent = make_agent(policy, 2, np.arange(3)[:, None, None] + np.zeros((3, 1, 16)))
     agent.act(np.arange(3)[:, None] + np.zeros((3, 16)), noise=None)
     agent.keep(np.array([True, False, True]))
     agent.act(np.zeros((2, 16)), noise=None)
@@ -68,13 +77,13 @@ def test_agent_goes_on_with_the_running_episodes(scaling):
     assert torch.equal(second[2], first[2][[0, 2]])
 
 
-def test_agent_keeps_the_memory_of_the_running_episodes(scaling):
+def test_agent_keeps_the_memory_of_the_running_episodes(make_agent):
     class Counter:
         def act(self, observations, actions, goal, noise, memory):
             memory["steps"] = memory.get("steps", torch.arange(len(observations))) + 10
             return torch.zeros(len(observations), 2)
 
-    agent = Agent(Counter(), 1, scaling, np.zeros((3, 1, 16)), CPU)
+    agent = make_agent(Counter(), 1, np.zeros((3, 1, 16)))
     agent.act(np.zeros((3, 16)), noise=None)
     agent.keep(np.array([False, True, True]))
     agent.act(np.zeros((2, 16)), noise=None)
@@ -96,28 +105,29 @@ def test_an_episodes_noise_is_its_own():
 
 
 @pytest.fixture
-def trained(make_dataset, make_job, spec, tmp_path):
-    """A briefly trained C-BESO and its data on disk: arguments of evaluate_chunk up to the sampling."""
+def job(make_dataset, make_job, small_models, spec, tmp_path):
+    """The evaluation of a briefly trained C-BESO."""
     play.save(make_dataset([30, 32, 34, 36], seed=0), tmp_path / "data")
-    dataset, job = play.load(tmp_path / "data", spec), make_job("c_beso")
-    result = train(job, dataset, spec, CPU, tmp_path / "state")
-    checkpoint.save(tmp_path / "models", job, result, play.data_digest(dataset))
-    return "block_push", tmp_path / "data", tmp_path / "models", job
+    dataset, training = play.load(tmp_path / "data", spec), make_job("c_beso")
+    result = train(training, dataset, spec, CPU, tmp_path / "state")
+    checkpoint.save(tmp_path / "models", training, spec.sizes, result, play.data_digest(dataset))
+    sampling = build(methods.load("c_beso").Sampling, small_models["c_beso"][1], "sampling")
+    return EvaluationJob("block_push", tmp_path / "data", tmp_path / "models", training, sampling, CONFIG, "cpu")
 
 
-@pytest.fixture
-def sampling(small_models):
-    return build(methods.load("c_beso").Sampling, small_models["c_beso"][1], "sampling")
+def play_chunk(job, *chunk, film=None):
+    (rows,) = evaluate(job, [Chunk(*chunk)], film)
+    return rows
 
 
-def test_rows_say_what_was_played(trained, sampling, spec):
-    rows = evaluate_chunk(*trained, sampling, CONFIG, Chunk("held_out", 0, 2), "cpu")
+def test_rows_say_what_was_played(job, spec):
+    rows = play_chunk(job, "held_out", 0, 2)
     assert [(row["seed"], row["goals"], row["episode"], row["length"]) for row in rows] == [
-        (trained[3].seed, "held_out", 0, 4),
-        (trained[3].seed, "held_out", 1, 4),
+        (job.training.seed, "held_out", 0, 4),
+        (job.training.seed, "held_out", 1, 4),
     ]
-    dataset = play.load(trained[1], spec)
-    _, held_out = split(trained[3], len(dataset))
+    dataset = play.load(job.data, spec)
+    _, held_out = job.training.split(len(dataset))
     for row in rows:
         assert row["goal_demonstration"] in held_out
         assert row["goal_tasks"] == " ".join(map(str, dataset.completed(row["goal_demonstration"])))
@@ -125,10 +135,37 @@ def test_rows_say_what_was_played(trained, sampling, spec):
         assert row["goal_distance"] > 0
 
 
+def test_chunks_of_one_call_are_those_of_several(job):
+    together = evaluate(job, [Chunk("training", 0, 2), Chunk("held_out", 2, 3)])
+    assert together == [play_chunk(job, "training", 0, 2), play_chunk(job, "held_out", 2, 3)]
+
+
+def test_a_policy_of_another_configuration_is_refused(job):
+    other = dataclasses.replace(job, training=dataclasses.replace(job.training, train_fraction=0.5))
+    with pytest.raises(UserError, match=r"train_fraction is 0\.7 there and 0\.5 here"):
+        play_chunk(other, "training", 0, 1)
+
+
+def test_a_researchers_policy_acts_like_the_evaluations(job, small_models):
+    """Policy.load and a loop on raw observations need the trained folder alone."""
+    policy = Policy.load(job.models, seed=job.training.seed, sampling=small_models["c_beso"][1], device="cpu")
+    with pytest.raises(UserError, match="no goal"):
+        policy.act(np.zeros(16))
+    policy.reset(np.zeros((1, 16)), seed=3)
+    first = [policy.act(np.full(16, 0.1 * i)) for i in range(4)]
+    policy.reset(np.zeros(16), seed=3)
+    assert np.array_equal(first, [policy.act(np.full(16, 0.1 * i)) for i in range(4)])
+    agent = Agent(checkpoint.load(job.models, job.training.seed, job.sampling, CPU), np.zeros((1, 1, 16)), CPU)
+    noise = EpisodeNoise([generator(3, "policy noise")])
+    assert np.array_equal(first, [agent.act(np.full((1, 16), 0.1 * i), noise)[0] for i in range(4)])
+    with pytest.raises(UserError, match=r"sampling.nothing = 1: unknown key"):
+        Policy.load(job.models, sampling={"nothing": 1})
+
+
 @pytest.fixture
 def starts(monkeypatch):
     """First observations of all episodes from now on."""
-    from beso.envs.block_push import BlockPushEnv
+    from beso.envs.block_push.simulator import BlockPushEnv
 
     starts, original = [], BlockPushEnv.reset
 
@@ -141,9 +178,9 @@ def starts(monkeypatch):
     return starts
 
 
-def test_a_policy_gets_the_goals_of_its_episodes(trained, sampling, spec, starts, monkeypatch):
+def test_a_policy_gets_the_goals_of_its_episodes(job, spec, starts, monkeypatch):
     """The demonstration's last state, its blocks exchanged where the targets lie the other way round."""
-    from beso.envs.block_push import evaluation_goal
+    from beso.envs.block_push.simulator.environment import fitting_goal
 
     given, act = [], Agent.act
 
@@ -152,18 +189,18 @@ def test_a_policy_gets_the_goals_of_its_episodes(trained, sampling, spec, starts
         return act(self, observations, noise)
 
     monkeypatch.setattr(Agent, "act", noted_act)
-    rows = evaluate_chunk(*trained, sampling, CONFIG, Chunk("training", 0, 8), "cpu")
-    dataset = play.load(trained[1], spec)
-    scaling = Scaling.fit(dataset, split(trained[3], len(dataset))[0], spec)
+    rows = play_chunk(job, "training", 0, 8)
+    dataset = play.load(job.data, spec)
+    scaling = Scaling.fit(dataset, job.training.split(len(dataset))[0], spec)
     last = [dataset.observations[dataset.episode_ends[row["goal_demonstration"]] - 1][None] for row in rows]
-    expected = np.stack([evaluation_goal(state, start) for state, start in zip(last, starts, strict=True)])
+    expected = np.stack([fitting_goal(state, start) for state, start in zip(last, starts, strict=True)])
     assert any(not np.array_equal(goal, state) for goal, state in zip(expected, last, strict=True))
     assert torch.equal(given[0], scaling.goals(torch.from_numpy(expected.astype(np.float32))))
     assert torch.equal(given[-1], given[0])
 
 
 @pytest.mark.parametrize(("context_length", "longest"), [(None, 3), (2, 2), (1, 1)])
-def test_a_context_may_be_shorter_than_the_training_window(trained, sampling, monkeypatch, context_length, longest):
+def test_a_context_may_be_shorter_than_the_training_window(job, monkeypatch, context_length, longest):
     lengths, act = [], Agent.act
 
     def noted_act(self, observations, noise):
@@ -172,25 +209,23 @@ def test_a_context_may_be_shorter_than_the_training_window(trained, sampling, mo
         return action
 
     monkeypatch.setattr(Agent, "act", noted_act)
-    shorter = dataclasses.replace(sampling, context_length=context_length)
-    evaluate_chunk(*trained, shorter, CONFIG, Chunk("training", 0, 1), "cpu")
+    shorter = dataclasses.replace(job.sampling, context_length=context_length)
+    play_chunk(dataclasses.replace(job, sampling=shorter), "training", 0, 1)
     assert max(lengths) == (longest, longest - 1)
 
 
-def test_the_same_chunk_gives_the_same_rows_filmed_or_not(trained, sampling):
-    plain = evaluate_chunk(*trained, sampling, CONFIG, Chunk("training", 0, 2), "cpu")
-    evaluate_chunk(*trained, sampling, CONFIG, Chunk("training", 2, 4), "cpu")  # other episodes in between
+def test_the_same_chunk_gives_the_same_rows_filmed_or_not(job):
+    plain = play_chunk(job, "training", 0, 2)
+    play_chunk(job, "training", 2, 4)  # other episodes in between
     pictures = []
-    filmed = evaluate_chunk(*trained, sampling, CONFIG, Chunk("training", 0, 2), "cpu", pictures.append)
+    filmed = play_chunk(job, "training", 0, 2, film=pictures.append)
     assert filmed == plain
     assert len(pictures) == plain[0]["length"] + 1
     assert pictures[0].shape == (240, 320, 3)
 
 
-def test_every_method_meets_the_same_starts(trained, sampling, starts):
+def test_every_method_meets_the_same_starts(job, starts):
     """The start is drawn from evaluation seed, goal set, model seed and episode alone, not from the chunk either."""
-    evaluate_chunk(*trained, sampling, CONFIG, Chunk("training", 0, 2), "cpu")
-    evaluate_chunk(*trained, sampling, CONFIG, Chunk("training", 1, 2), "cpu")
-    evaluate_chunk(*trained, sampling, CONFIG, Chunk("held_out", 1, 2), "cpu")
+    evaluate(job, [Chunk("training", 0, 2), Chunk("training", 1, 2), Chunk("held_out", 1, 2)])
     assert np.array_equal(starts[1], starts[2])
     assert not np.array_equal(starts[1], starts[3])

@@ -118,7 +118,6 @@ def test_validation_does_not_disturb_training(run, make_job, name):
     assert [row["step"] for row in often.curve] == list(range(1, 9))
     assert [row["step"] for row in seldom.curve] == [8]
     assert often.curve[-1]["validation_loss"] == seldom.curve[-1]["validation_loss"]
-    assert often.curve[-1]["validation_error"] == seldom.curve[-1]["validation_error"]
     # The training loss is a mean since the last measurement.
     mean = np.mean([row["training_loss"] for row in often.curve])
     assert seldom.curve[0]["training_loss"] == pytest.approx(mean, rel=1e-5)
@@ -132,7 +131,7 @@ def test_measurements_come_at_their_interval_and_after_the_last_step(run, make_j
 
 def plain_training(job, dataset, spec):
     """The loop in its simplest form: the weights after every step, for a constant rate and Adam."""
-    episodes, _ = training.split(job, len(dataset))
+    episodes, _ = job.split(len(dataset))
     scaling = Scaling.fit(dataset, episodes, spec)
     model = job.config.model
     windows = Windows(dataset, episodes, scaling, model.window, spec.goal_window)
@@ -173,7 +172,7 @@ def test_training_reduces_the_loss(run, make_job):
 
 def test_statistics_come_from_the_training_episodes_alone(run, make_job, dataset, spec):
     job = make_job("gcbc")
-    episodes, held_out = training.split(job, len(dataset))
+    episodes, held_out = job.split(len(dataset))
     assert sorted([*episodes, *held_out]) == list(range(len(dataset)))
     assert run(job).scaling == Scaling.fit(dataset, episodes, spec)
 
@@ -257,24 +256,32 @@ def test_a_job_is_plain_data_for_json_and_fingerprints(make_job):
 
 def test_the_average_remembers_no_updates(run, make_job, monkeypatch):
     """Nothing of one update may stay in memory after the next."""
-    validate, gradients = training._validate, []
+    method, gradients = methods.load("c_beso").Method, []
+    loss = method.loss
 
-    def noted(averaged, *arguments):
-        gradients.extend(parameter.requires_grad for parameter in averaged.parameters())
-        return validate(averaged, *arguments)
+    def noted(self, batch, generator):
+        if not self.training:  # the average, on held-out windows
+            gradients.extend(parameter.requires_grad for parameter in self.parameters())
+        return loss(self, batch, generator)
 
-    monkeypatch.setattr(training, "_validate", noted)
+    monkeypatch.setattr(method, "loss", noted)
     run(make_job("c_beso"))
     assert gradients
     assert not any(gradients)
 
 
-def test_a_goal_at_the_windows_end_is_validated_from_the_windows_start(run, make_job, monkeypatch):
-    decisions, validate = [], training._validate
-    monkeypatch.setattr(training, "_validate", lambda *a: decisions.append(a[2]) or validate(*a))
-    run(make_job("lmp"))
-    run(make_job("c_beso"))
-    assert set(decisions) == {0, 2}
+def test_training_imports_no_sampler(make_job):
+    """What trains does not depend on samplers and guidance: a cell retrains for its own reasons alone."""
+    code = """
+import sys
+from beso import methods, training
+from beso.config import build
+methods.load("c_beso"), methods.load("cfg_beso"), methods.load("cx_diff")
+print([name for name in sys.modules if name in ("beso.diffusion.samplers", "beso.diffusion.guidance")])
+"""
+    root = Path(beso.__file__).parent.parent
+    result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    assert result.stdout == "[]\n", result.stderr
 
 
 def test_imports_where_little_is_installed():
@@ -285,9 +292,11 @@ import sys
 import numpy.random, safetensors.torch, torch, tqdm
 
 before = set(sys.modules)
-from beso import checkpoint, methods, training
+from beso import checkpoint, envs, methods, policy, training
 for name in methods.names():
     methods.load(name)
+for name in envs.names():
+    envs.spec(name)
 new = {name.split(".")[0] for name in set(sys.modules) - before} - set(sys.stdlib_module_names)
 print(sorted(new - {"torch", "numpy"}), len(methods.names()))
 """

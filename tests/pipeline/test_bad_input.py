@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beso.data import play
-from beso.data.spec import spec
+from beso.envs import spec
 
 DATA = "data/play/block_push"
 
@@ -86,8 +86,8 @@ def test_damaged_checkpoint(workspace):
 
 
 def test_published_folder_that_is_not_there(workspace):
-    workspace.set("collect.block_push.source", "published")
-    workspace.set("collect.block_push.folder", "nowhere")
+    workspace.set("environments.block_push.collect.source", "published")
+    workspace.set("environments.block_push.collect.folder", "nowhere")
     assert "nowhere/multimodal_push_observations.npy is missing" in stage(workspace, "collect", "block_push")
 
 
@@ -105,21 +105,22 @@ def test_wrong_number_of_arguments(finished, arguments):
 
 
 def test_unknown_names(workspace):
-    for name in ("train", "evaluate"):
-        assert "environment 'moon' is not one of block_push" in stage(workspace, name, "moon", "gcbc")
-        assert "method 'sac' is not in params.yaml" in stage(workspace, name, "block_push", "sac")
-    assert "environment 'moon' is not one of block_push" in stage(workspace, "collect", "moon")
+    for name in ("train", "evaluate", "film"):
+        assert "environment 'moon' is not in params.yaml: block_push are" in stage(workspace, name, "moon", "gcbc")
+        assert "params.yaml has no cell block_push-sac: block_push-gcbc" in stage(workspace, name, "block_push", "sac")
+    assert "environment 'moon' is not in params.yaml: block_push are" in stage(workspace, "collect", "moon")
+    assert "study 'moons' is not in params.yaml: solvers_block_push are" in stage(workspace, "study", "moons")
 
 
 def test_results_of_other_parameters_are_not_published(workspace):
-    workspace.set("evaluation.seed", 7)
-    line = fails(workspace, sys.executable, "-m", "pipeline.publish")
+    workspace.set("environments.block_push.evaluation.seed", 7)
+    line = fails(workspace, sys.executable, "-m", "pipeline.tools.publish")
     assert "evaluate@block_push-gcbc" in line
     assert "out of date: run `dvc repro tables` first" in line
 
 
 def test_publish_archives_the_run(workspace):
-    workspace.python("-m", "pipeline.publish")
+    workspace.python("-m", "pipeline.tools.publish")
     archive = workspace.folder / "reports/published/smoke"
     assert (archive / "params.yaml").read_bytes() == (workspace.folder / "params.yaml").read_bytes()
     assert (archive / "comparison.csv").read_bytes() == (workspace.folder / "reports/comparison.csv").read_bytes()

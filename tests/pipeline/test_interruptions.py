@@ -27,7 +27,7 @@ def wait_for_state(workspace, since=0.0, timeout=60):
 @pytest.fixture
 def slow(workspace):
     """One seed, enough steps to be caught in the middle, state saved after every step."""
-    workspace.set("seeds", [1])
+    workspace.set("environments.block_push.seeds", [1])
     workspace.set(STEPS, 400)
     workspace.set("machine.save_seconds", 0)
     return workspace
@@ -73,7 +73,7 @@ def test_ctrl_c_is_one_line_and_the_next_repro_continues(slow):
 )
 def test_a_full_disk_is_one_line_and_replaces_nothing(workspace, command, limit, kept):
     """A limit on the size of files stands for the full disk: writing fails half-way in the same place."""
-    workspace.set("training.validation.every", 30)
+    workspace.set("environments.block_push.training.validation.every", 30)
     before = workspace.files(*kept)
     done = workspace.run(
         *command,

@@ -28,7 +28,13 @@ def test_no_change_runs_nothing_in_under_5_seconds(finished):
 
 def test_a_changed_sampler_reruns_evaluation_tables_and_page(workspace):
     workspace.set(SAMPLE_STEPS, 4)
-    assert workspace.repro() == ["evaluate@block_push-c_beso", "tables", "page"]
+    assert workspace.repro() == [
+        "evaluate@block_push-c_beso",
+        "study@solvers_block_push",
+        "film@block_push-c_beso",
+        "tables",
+        "page",
+    ]
 
 
 def test_a_changed_learning_rate_reruns_that_method_only(workspace):
@@ -57,20 +63,19 @@ def test_one_stage_can_be_rerun_by_name(workspace):
 
 def test_diffs_name_what_changed(workspace):
     workspace.set(LEARNING_RATE, 0.002)
-    workspace.set("evaluation.max_actions", 5)
+    workspace.set("environments.block_push.evaluation.max_actions", 5)
     shown = workspace.dvc("params", "diff").stdout
     assert LEARNING_RATE in shown
     assert "0.002" in shown
-    workspace.repro("evaluate@block_push-gcbc")
+    workspace.repro("tables")
     shown = workspace.dvc("metrics", "diff").stdout
-    assert "training_goals.length" in shown
-    assert "gcbc.json" in shown
+    assert "block_push.gcbc.training_goals.length" in shown
 
 
 def test_plots_show_the_training_curves(workspace):
     workspace.dvc("plots", "show")
     page = (workspace.folder / "dvc_plots/index.html").read_text()
-    assert "validation_error" in page
+    assert "validation_loss" in page
     assert "training_loss" in page
 
 

@@ -5,8 +5,7 @@ import pytest
 
 from beso.data import play
 from beso.data.play import ARRAYS, Episode, assemble, split_episodes
-from beso.data.spec import SPECS
-from beso.data.spec import spec as spec_of
+from beso.envs import spec as spec_of
 from beso.errors import UserError
 
 
@@ -155,7 +154,7 @@ def test_an_unknown_environment_is_refused_with_what_is_allowed():
 
 
 def test_block_push_shows_ten_dimensions_and_no_target():
-    block_push = SPECS["block_push"]
+    block_push = spec_of("block_push")
     assert block_push.sizes == (10, 2, 1)
     assert max(block_push.visible) < 10, "dimensions 10 to 15 are the targets' poses"
     assert set(block_push.goal_masked) <= set(range(len(block_push.visible)))

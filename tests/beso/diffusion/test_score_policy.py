@@ -1,7 +1,7 @@
 """ScorePolicy around networks whose denoiser is known."""
 
+import dataclasses
 import math
-from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from beso.data.windows import Batch
 from beso.diffusion.densities import DENSITIES
 from beso.diffusion.samplers import SAMPLERS
 from beso.diffusion.schedules import SCHEDULES
-from beso.diffusion.score_policy import DiffusionConfig, SamplingConfig, ScorePolicy, validation_sampling
+from beso.diffusion.score_policy import DiffusionConfig, DiffusionSampling, ScorePolicy, default_sampling
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
 from beso.noise import BatchNoise, EpisodeNoise
 
@@ -22,7 +22,7 @@ DIFFUSION = DiffusionConfig(SIGMA_DATA, 0.05, 1.0, "log_logistic", math.log(0.5)
 
 
 def sampling(sampler="ddim", steps=3, context="clean", sigma_min=0.05):
-    return SamplingConfig(sampler, "exponential", steps, sigma_min, 1.0, context, None)
+    return DiffusionSampling(sampler, "exponential", steps, sigma_min, 1.0, context, None)
 
 
 class OptimalNetwork(nn.Module):
@@ -207,7 +207,7 @@ def test_published_context_moves_previous_actions_with_the_new_one():
 
 
 def sampling_levels():
-    return ScorePolicy(OptimalNetwork(), DIFFUSION, sampling()).sigmas
+    return ScorePolicy(OptimalNetwork(), DIFFUSION, sampling()).sampling.sigmas()
 
 
 def test_both_contexts_agree_where_there_are_no_previous_actions():
@@ -293,17 +293,42 @@ def test_impossible_sampling_is_refused():
         sampling(sigma_min=2.0)
 
 
-def test_validation_uses_the_papers_default_sampler_over_the_training_range():
-    assert validation_sampling(DIFFUSION) == SamplingConfig("ddim", "exponential", 3, 0.05, 1.0, "clean", None)
+def test_default_is_the_papers_sampler_over_the_training_range():
+    assert default_sampling(DIFFUSION) == DiffusionSampling("ddim", "exponential", 3, 0.05, 1.0, "clean", None)
 
 
-@pytest.mark.parametrize(
-    ("config", "field", "functions"),
-    [
-        (DiffusionConfig, "density", DENSITIES),
-        (SamplingConfig, "sampler", SAMPLERS),
-        (SamplingConfig, "schedule", SCHEDULES),
-    ],
-)
-def test_parameters_name_every_function_there_is(config, field, functions):
-    assert set(get_args(get_type_hints(config)[field])) == set(functions)
+def test_goals_are_lost_from_their_share_of_the_training_on():
+    network = GoalRecorder()
+    policy = ScorePolicy(network, DIFFUSION, sampling(), goal_dropout=0.5, goal_dropout_from=0.6).train()
+    for done, expected in ((0.0, False), (0.59, False), (0.6, True), (1.0, True)):
+        policy.schedule(done)
+        policy.loss(batch(64), torch.Generator().manual_seed(0))
+        assert (network.goals[-1] == 0).all(dim=(1, 2)).any() == expected, done
+
+
+def test_a_learned_null_goal_stands_for_no_goal_in_training_and_guidance():
+    network, null = GoalRecorder(), torch.full((G, O), 7.0)
+    policy = ScorePolicy(network, DIFFUSION, sampling(), goal_dropout=0.5, null_goal=null, guidance_scale=2.0).train()
+    policy.loss(batch(64), torch.Generator().manual_seed(0))
+    lost = (network.goals[-1] == 7).all(dim=(1, 2))
+    assert 16 < lost.sum() < 48
+    assert torch.equal(network.goals[-1][~lost], batch(64).goal[~lost])
+    act(policy, steps=1)
+    conditional, unconditional = network.goals[-1].chunk(2)
+    assert torch.equal(conditional, batch().goal)
+    assert (unconditional == 7).all()
+    policy.guidance_scale = 0.0
+    act(policy, steps=1)
+    assert (network.goals[-1] == 7).all()
+    assert [name for name, _ in policy.named_parameters()] == ["null_goal"], "it is trained and saved"
+
+
+@pytest.mark.parametrize("field", ["sampler", "schedule"])
+def test_unknown_names_are_refused_with_what_is_allowed(field):
+    values = {**dataclasses.asdict(sampling()), field: "x"}
+    with pytest.raises(
+        ValueError, match=f"{field} = 'x': must be one of {', '.join(SAMPLERS if field == 'sampler' else SCHEDULES)}"
+    ):
+        DiffusionSampling(**values)
+    with pytest.raises(ValueError, match=f"density = 'x': must be one of {', '.join(DENSITIES)}"):
+        dataclasses.replace(DIFFUSION, density="x")

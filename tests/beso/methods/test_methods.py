@@ -1,4 +1,4 @@
-"""What every method promises (beso.methods.Method), and that each learns what it is for."""
+"""What every method promises (beso.methods.Policy), and that each learns what it is for."""
 
 import numpy as np
 import pytest

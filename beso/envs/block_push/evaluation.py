@@ -1,0 +1,48 @@
+"""How policies are evaluated in block push: goals are last states of demonstrations (paper, "Block-Push")."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from beso.envs.block_push.simulator import BlockPushEnv
+from beso.envs.block_push.spec import SPEC
+from beso.envs.protocol import Encoder, Outcome, Trial, TrialRequest, demonstration_trials, identity
+
+MAX_ACTIONS = 299  # the published loop of 300 records its result before the last action
+
+
+def make(render_mode: str | None = None) -> BlockPushEnv:
+    """An environment as policies are evaluated in it."""
+    return BlockPushEnv(render_mode=render_mode)
+
+
+def trials(request: TrialRequest) -> list[Trial]:
+    """Goals from demonstrations; the environment exchanges the blocks where its targets lie the other way round."""
+    return demonstration_trials(request, SPEC.goal_window, MAX_ACTIONS)
+
+
+def encoder(data: Path, device: torch.device) -> Encoder:
+    """Observations are states."""
+    return identity
+
+
+def score(trial: Trial, outcome: Outcome) -> dict[str, Any]:
+    """Columns of an episode's row.
+
+    The result is how many of the goal's pairs were entered at any time, in any order, as a share of two (paper,
+    "result"). The pairs are all that the demonstration entered: very few entered a third one, and their goals can give
+    1.5. The distance is the mean of the two blocks' from their places in the goal, metres.
+    """
+    distance = float(
+        np.mean([np.linalg.norm(outcome.observation[i : i + 2] - outcome.goal[-1, i : i + 2]) for i in (0, 3)])
+    )
+    tasks = outcome.info["tasks"]
+    return {
+        "tasks": " ".join(map(str, tasks)),
+        "reward": round(outcome.reward, 6),
+        "result": len(set(tasks) & set(trial.tasks)) / 2,
+        "length": outcome.length,
+        "goal_distance": round(distance, 6),
+    }

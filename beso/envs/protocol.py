@@ -1,0 +1,134 @@
+"""What an environment's room offers, as types; and what several protocols of evaluation share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+
+from beso.data.play import Episode, PlayDataset
+from beso.seeding import integer_seed
+
+if TYPE_CHECKING:
+    import gymnasium
+    import torch
+
+Recorder = Callable[[int, int], Episode]  # (root seed, index of the demonstration)
+Importer = Callable[[Path], PlayDataset]
+Encoder = Callable[[np.ndarray], np.ndarray]  # raw observations (B, ...) -> what the spec describes, (B, O)
+
+
+class TrialRequest(NamedTuple):
+    """Which episodes are wanted.
+
+    Attributes:
+        goals: one of the spec's goal sets.
+        numbers: their numbers; trial i depends on i alone, not on the others asked for.
+        dataset: the play data.
+        training, held_out: episodes of it that the policy was trained on, and the others.
+        seed: root of evaluation's random numbers.
+        model_seed: the model's number.
+    """
+
+    goals: str
+    numbers: range
+    dataset: PlayDataset
+    training: np.ndarray
+    held_out: np.ndarray
+    seed: int
+    model_seed: int
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One episode before it is played.
+
+    Attributes:
+        seed, options: for the environment's `reset`, which answers with `info["goal"]`, (G, ...) raw goal states.
+        tasks: tasks that the goal asks for, positions in the spec's list.
+        limit: the largest number of actions.
+        labels: columns of the episode's row.
+    """
+
+    seed: int
+    options: dict[str, Any]
+    tasks: tuple[int, ...]
+    limit: int
+    labels: dict[str, Any]
+
+
+@dataclass
+class Outcome:
+    """What came of a trial: the sum of rewards, the number of actions, the last raw observation and info, the goal."""
+
+    reward: float
+    length: int
+    observation: np.ndarray
+    info: dict[str, Any]
+    goal: np.ndarray
+
+
+class Evaluation(Protocol):
+    """How policies are evaluated in an environment: the module `beso.envs.<name>.evaluation`."""
+
+    def make(self, render_mode: str | None = None) -> gymnasium.Env:
+        """An environment; its episodes depend on their reset alone."""
+
+    def trials(self, request: TrialRequest) -> list[Trial]:
+        """The episodes asked for."""
+
+    def score(self, trial: Trial, outcome: Outcome) -> dict[str, Any]:
+        """Further columns of the episode's row, among them every metric of the report."""
+
+    def encoder(self, data: Path, device: torch.device) -> Encoder:
+        """What stands between the environment's observations and the policy; `data` is the play data's folder."""
+
+
+class Metric(NamedTuple):
+    """A column of evaluation rows: its name, the paper's name for it, its largest value."""
+
+    name: str
+    label: str
+    maximum: float
+
+
+class Report(Protocol):
+    """What only the report must know of an environment: the module `beso.envs.<name>.report`."""
+
+    LABEL: str  # the paper's name
+    GOAL_LABELS: dict[str, str]  # by goal set
+    METRICS: tuple[Metric, ...]
+    PUBLISHED: dict[str, float]  # statistics of the published play data, as far as known
+
+    def statistics(self, dataset: PlayDataset) -> dict[str, float]:
+        """The same statistics of a dataset, by their names."""
+
+
+def identity(observations: np.ndarray) -> np.ndarray:
+    """The encoder of environments whose observations are states."""
+    return observations
+
+
+def demonstration_trials(request: TrialRequest, goal_window: int, limit: int) -> list[Trial]:
+    """Trials whose goals are the last states of demonstrations: "training" ones, as in the paper, or "held_out" ones.
+
+    The goal of trial i is that of demonstration i of the set, counted round; `reset` gets it as the option "goal".
+    """
+    candidates = request.training if request.goals == "training" else request.held_out
+    trials = []
+    for i in request.numbers:
+        demonstration = int(candidates[i % len(candidates)])
+        end, tasks = request.dataset.episode_ends[demonstration], request.dataset.completed(demonstration)
+        trials.append(
+            Trial(
+                seed=integer_seed(request.seed, f"start, {request.goals} goals", request.model_seed, i),
+                options={"goal": request.dataset.observations[end - goal_window : end]},
+                tasks=tasks,
+                limit=limit,
+                labels={"goal_demonstration": demonstration, "goal_tasks": " ".join(map(str, tasks))},
+            )
+        )
+    return trials

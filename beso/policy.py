@@ -1,0 +1,112 @@
+"""Trained policies in raw units: `Policy` for one episode at a time, `Agent` for a batch of them.
+
+    policy = Policy.load("models/block_push/c_beso", seed=1)
+    policy.reset(goal)
+    action = policy.act(observation)      # in a loop
+
+This needs torch, numpy and safetensors, and neither a simulator nor params.yaml.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from beso import checkpoint, methods
+from beso.config import build
+from beso.data.scaling import CLIP
+from beso.device import pick_device
+from beso.errors import UserError
+from beso.memory import Memory
+from beso.noise import EpisodeNoise, Noise
+from beso.seeding import generator
+
+
+class Agent:
+    """A policy with the context of a batch of episodes, in raw units.
+
+    Args:
+        policy: a trained policy.
+        goals: (B, G, observation_size) raw goal states, constant through the episodes.
+    """
+
+    def __init__(self, policy: checkpoint.Loaded, goals: np.ndarray, device: torch.device) -> None:
+        self.method, self.scaling, self.window, self.device = policy.method, policy.scaling, policy.context, device
+        self.goal = self.scaling.goals(self._tensor(goals))
+        self.observations = self.goal[:, :0]  # (B, up to window, O)
+        self.actions: torch.Tensor | None = None  # (B, up to window - 1, A)
+        self.memory: Memory = {}
+
+    def _tensor(self, array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.asarray(array, dtype=np.float32)).to(self.device)
+
+    @torch.inference_mode()
+    def act(self, observations: np.ndarray, noise: Noise) -> np.ndarray:
+        """(B, observation_size) raw observations -> (B, action_size) raw actions."""
+        current = self.scaling.observations(self._tensor(observations))
+        self.observations = torch.cat([self.observations, current[:, None]], dim=1)[:, -self.window :]
+        if self.actions is None:
+            self.actions = current.new_empty(len(current), 0, len(self.scaling.action_low))
+        action = self.method.act(self.observations, self.actions, self.goal, noise, self.memory).clamp(-CLIP, CLIP)
+        history = torch.cat([self.actions, action[:, None]], dim=1)
+        self.actions = history[:, max(0, history.shape[1] - (self.window - 1)) :]
+        return self.scaling.raw_actions(action).cpu().numpy()
+
+    def keep(self, running: np.ndarray) -> None:
+        """Go on with a part of the batch, (B,) booleans."""
+        rows = torch.from_numpy(running).to(self.device)
+        self.goal, self.observations = self.goal[rows], self.observations[rows]
+        if self.actions is not None:
+            self.actions = self.actions[rows]
+        self.memory = {name: value[rows] for name, value in self.memory.items()}
+
+
+class Policy:
+    """A trained policy that acts in one episode at a time."""
+
+    def __init__(self, loaded: checkpoint.Loaded, device: torch.device) -> None:
+        self._loaded, self._device = loaded, device
+        self._agent: Agent | None = None
+
+    @classmethod
+    def load(
+        cls, folder: str | Path, seed: int = 1, sampling: Mapping[str, Any] | None = None, device: str = "auto"
+    ) -> "Policy":
+        """Load a model that `stages.train` wrote.
+
+        Args:
+            folder: of the trained cell.
+            seed: the model's number.
+            sampling: how to generate actions, as in params.yaml under `methods.<name>.sample`; None is the method's
+                default.
+            device: "auto", "cpu" or "cuda".
+
+        Raises:
+            UserError: files are missing or damaged, or `sampling` is not one for this method.
+        """
+        folder, chosen = Path(folder), pick_device(device)
+        name = checkpoint.load_description(folder, seed)["job"]["method"]
+        built = None if sampling is None else build(methods.load(name).Sampling, sampling, "sampling")
+        return cls(checkpoint.load(folder, seed, built, chosen), chosen)
+
+    def reset(self, goal: np.ndarray, seed: int = 0) -> None:
+        """Start an episode.
+
+        Args:
+            goal: (G, observation_size) raw goal states, or one state.
+            seed: of the policy's random numbers in this episode.
+        """
+        self._agent = Agent(self._loaded, np.atleast_2d(goal)[None], self._device)
+        self._noise = EpisodeNoise([generator(seed, "policy noise")], self._device)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """(observation_size,) raw observation -> (action_size,) raw action.
+
+        Raises:
+            UserError: no episode was started.
+        """
+        if self._agent is None:
+            raise UserError("no goal: call reset(goal) before act")
+        return self._agent.act(np.asarray(observation)[None], self._noise)[0]

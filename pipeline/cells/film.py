@@ -1,0 +1,58 @@
+"""Films of rollouts as WebM (VP8), which every browser plays and OpenCV's wheels can write."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from beso.evaluation_config import Chunk
+from beso.files import replacing, write_json
+from beso.rollout import EvaluationJob, Row, evaluate
+from pipeline import paths
+from pipeline.cells.evaluation import evaluation_jobs
+from pipeline.params import Params
+from pipeline.pool import map_jobs
+
+FRAMES_PER_SECOND = 20  # about twice the environments' actions a second
+TRACK_NUMBER = b"\x73\xc5\x88"  # Matroska's TrackUID, an integer of 8 bytes
+
+
+def film_cell(params: Params, environment: str, method: str) -> None:
+    """Film the first episode of a cell's first seed, with the paper's kind of goal, and keep the episode's row."""
+    job = evaluation_jobs(params, environment, method, params.sampling(environment, method))[0]
+    with replacing(paths.film(environment, method)) as folder:
+        folder.mkdir()
+        # One worker is this process with a single thread.
+        (row,) = map_jobs(film_episode, [(job, folder / "rollout.webm")], 1)
+        write_json(folder / "rollout.json", row)
+
+
+def film_episode(job: EvaluationJob, path: Path, episode: int = 0) -> Row:
+    """Play and film one episode; its row."""
+    frames: list[np.ndarray] = []
+    chunk = Chunk(job.config.goals[0], episode, episode + 1)
+    ((row,),) = evaluate(job, [chunk], frames.append)
+    write_video(path, frames, FRAMES_PER_SECOND)
+    return row
+
+
+def write_video(path: Path, frames: Sequence[np.ndarray], frames_per_second: float) -> None:
+    """Write RGB pictures (H, W, 3) uint8.
+
+    Raises:
+        OSError: the file could not be written.
+    """
+    height, width, _ = frames[0].shape
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"VP80"), frames_per_second, (width, height))
+    if not writer.isOpened():
+        raise OSError(f"OpenCV cannot write {path.name} (VP8 in WebM)")
+    for frame in frames:
+        writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+    writer.release()
+    written = path.read_bytes()
+    if not written:
+        raise OSError(f"OpenCV wrote nothing to {path.name}")
+    # The track's number is drawn at random; a fixed one makes the bytes reproducible.
+    start = written.index(TRACK_NUMBER) + len(TRACK_NUMBER)
+    path.write_bytes(written.replace(written[start : start + 8], (1).to_bytes(8, "big")))

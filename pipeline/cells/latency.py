@@ -1,0 +1,69 @@
+"""How long a policy takes to choose an action, at the paper's size.
+
+Timings differ from run to run; they stay out of everything that is meant to be reproduced byte for byte.
+"""
+
+import time
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+
+from beso import envs, methods
+from beso.data.spec import Sizes
+from beso.memory import Memory
+from beso.noise import BatchNoise
+from pipeline import profile
+from pipeline.params import Params
+
+WARM_UP = 1  # calls that do not count
+
+
+def measure(params: Params) -> pd.DataFrame:
+    """One row for each environment, method and batch size, with the paper's networks and samplers.
+
+    Cells that the paper profile does not have are left out.
+
+    Columns: environment, method, parameters, batch, median and quartiles of the milliseconds of one call with a full
+    context. Weights are random: time does not depend on them.
+    """
+    paper = profile.load(profile.COMPLETE)
+    rows = []
+    for name, cell in params.cells.items():
+        if name not in paper.cells:
+            continue
+        sizes = envs.spec(cell.env).sizes
+        model, sampling = paper.methods[cell.method].train[cell.env].model, paper.sampling(cell.env, cell.method)
+        policy, length = build(cell.of, model, sampling, sizes), sampling.context_steps(model.context)
+        count = sum(p.numel() for p in policy.parameters())
+        for batch in params.latency.batches:
+            times = time_calls(policy, length, sizes, batch, params.latency.repeats)
+            q1, median, q3 = np.percentile(times, [25, 50, 75]).round(3)
+            row = {"environment": cell.env, "method": cell.method, "parameters": count, "batch": batch}
+            rows.append({**row, "median_ms": median, "q1_ms": q1, "q3_ms": q3})
+    return pd.DataFrame(rows)
+
+
+def build(method: str, config: Any, sampling: Any, sizes: Sizes) -> Any:
+    """A policy with random weights, in evaluation mode."""
+    draws = torch.Generator().manual_seed(0)
+    return methods.load(method).Method(config, sampling, sizes, draws).eval()
+
+
+def time_calls(policy: Any, window: int, sizes: Sizes, batch: int, repeats: int) -> list[float]:
+    """Milliseconds of `repeats` calls of `act`, after one that does not count."""
+    draws = torch.Generator().manual_seed(0)
+    observations = torch.randn(batch, window, sizes.observation, generator=draws)
+    actions = torch.randn(batch, window - 1, sizes.action, generator=draws)
+    goal = torch.randn(batch, sizes.goal_window, sizes.observation, generator=draws)
+    noise = BatchNoise(batch, draws)
+    memory: Memory = {}
+    times = []
+    with torch.inference_mode():
+        for i in range(WARM_UP + repeats):
+            start = time.perf_counter()
+            policy.act(observations, actions, goal, noise, memory)
+            if i >= WARM_UP:
+                times.append(1000 * (time.perf_counter() - start))
+    return times

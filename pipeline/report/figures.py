@@ -1,0 +1,104 @@
+"""Figures of the report, as PDF and PNG with reproducible bytes."""
+
+import io
+import itertools
+import math
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from beso import envs
+from beso.files import replacing
+from pipeline import paths
+from pipeline.params import Params
+from pipeline.report.names import Names
+
+# Wong's colours, told apart with any colour vision.
+COLOURS = {"ours": "#0072B2", "held_out": "#56B4E9", "paper": "#E69F00"}
+METHOD_COLOURS = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#F0E442", "#000000"]
+STYLE = {"font.size": 8, "axes.spines.top": False, "axes.spines.right": False, "pdf.fonttype": 42, "savefig.dpi": 200}
+
+
+def save(figure: Figure, folder: Path, name: str) -> None:
+    """Write one figure as PDF and PNG without dates or version strings."""
+    without = {"pdf": ("CreationDate", "Producer", "Creator"), "png": ("Software",)}
+    for kind, keys in without.items():
+        drawn = io.BytesIO()  # matplotlib hides a full disk behind errors of its own
+        figure.savefig(drawn, format=kind, metadata=dict.fromkeys(keys))
+        (folder / f"{name}.{kind}").write_bytes(drawn.getvalue())
+
+
+def draw_all(params: Params, comparison: pd.DataFrame, folder: Path) -> None:
+    """Draw every figure into `folder`, replacing it whole."""
+    names = Names(params)
+    with replacing(folder) as temporary, matplotlib.rc_context(STYLE):
+        temporary.mkdir()
+        for environment in params.envs:
+            part = comparison[comparison["environment"] == environment]
+            save(scores(params, part, names, environment), temporary, f"scores_{environment}")
+            save(training_curves(params, names, environment), temporary, f"training_{environment}")
+        save(fork_samples(params, names), temporary, "fork")
+
+
+def scores(params: Params, comparison: pd.DataFrame, names: Names, environment: str) -> Figure:
+    """Bars of every metric by method, ours beside the paper's; lines are standard deviations over seeds."""
+    metrics, methods = envs.report(environment).METRICS, params.methods_in(environment)
+    goal_sets = params.environments[environment].evaluation.goals
+    figure = Figure(figsize=(7, 2.7), layout="constrained")
+    axes = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
+    colours = dict(zip(goal_sets, (COLOURS["ours"], COLOURS["held_out"]), strict=False))
+    bars = [
+        (goals, "ours", "ours_std", f"ours, {names.goals(environment, goals)}", colours[goals]) for goals in colours
+    ]
+    bars.append((goal_sets[0], "paper", "paper_std", "paper", COLOURS["paper"]))
+    places, width = np.arange(len(methods)), 0.8 / len(bars)
+    for axis, metric in zip(axes, metrics, strict=True):
+        for i, (goals, value, std, label, colour) in enumerate(bars):
+            part = comparison[(comparison["metric"] == metric.name) & (comparison["goals"] == goals)]
+            part = part.set_index("method").reindex(methods)
+            offset = (i - (len(bars) - 1) / 2) * width
+            axis.bar(places + offset, part[value], width, yerr=part[std], label=label, color=colour, capsize=2)
+        axis.set_xticks(places, [names.methods[m] for m in methods], rotation=30, ha="right")
+        axis.set_title(metric.label)
+    axes[0].set_ylabel(names.environments[environment])
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(bars), frameon=False)
+    return figure
+
+
+def fork_samples(params: Params, names: Names) -> Figure:
+    """Actions of the demonstrations and of every method on the fork, a panel each."""
+    table = pd.read_csv(paths.FORK)
+    panels = ["data", *params.fork.methods]
+    columns = min(5, len(panels))
+    rows = math.ceil(len(panels) / columns)
+    figure = Figure(figsize=(7, 0.4 + 1.1 * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flatten()
+    for axis, method in zip(grid, panels, strict=False):
+        part = table[table["method"] == method]
+        colour = COLOURS["paper"] if method == "data" else COLOURS["ours"]
+        axis.scatter(part["x"], part["y"], s=2, color=colour, linewidths=0)
+        axis.set_title("demonstrations" if method == "data" else names.methods[method])
+        axis.set(xlim=(-1.2, 1.2), ylim=(-0.3, 0.9))
+    for axis in grid[len(panels) :]:
+        axis.set_axis_off()
+    figure.supxlabel("action, first entry")
+    figure.supylabel("second entry")
+    return figure
+
+
+def training_curves(params: Params, names: Names, environment: str) -> Figure:
+    """Held-out loss over its first measurement against the share of the training, a line a seed."""
+    figure = Figure(figsize=(4.7, 2.4), layout="constrained")
+    axis = figure.subplots()
+    for method, colour in zip(params.methods_in(environment), itertools.cycle(METHOD_COLOURS)):
+        curves = pd.read_csv(paths.curve(environment, method))
+        for i, seed in enumerate(params.environments[environment].seeds):
+            label, losses = names.methods[method] if i == 0 else None, curves[f"validation_loss_seed{seed}"]
+            share = curves["step"] / curves["step"].iloc[-1]
+            axis.plot(share, losses / losses.iloc[0], color=colour, linewidth=1, label=label)
+    axis.set(xlabel="share of the training", ylabel="held-out loss,\nover the first measured")
+    figure.legend(loc="outside right upper", frameon=False)
+    return figure

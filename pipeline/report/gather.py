@@ -1,0 +1,39 @@
+"""Everything that tables and page show, gathered from the cells' results and data."""
+
+from typing import Any
+
+import pandas as pd
+
+from beso import envs
+from beso.data import play
+from beso.data.play import PlayDataset
+from beso.envs.protocol import Report
+from pipeline import paths
+from pipeline.params import Params
+from pipeline.report import studies
+from pipeline.report.comparison import compare, source
+from pipeline.report.names import Names
+from pipeline.report.tables import main_methods, main_rows, number
+
+
+def gather(params: Params) -> dict[str, Any]:
+    """Values for the templates: parameters, names, the comparison and its main table, studies, data and sources."""
+    datasets = {environment: play.load(paths.play(environment), envs.spec(environment)) for environment in params.envs}
+    comparison, names = compare(params), Names(params)
+    return {
+        "params": params,
+        "names": names,
+        "number": number,
+        "comparison": comparison,
+        "methods": main_methods(params),
+        "rows": main_rows(params, comparison, names),
+        "studies": studies.tables(params),
+        "data": {name: beside_published(envs.report(name), dataset) for name, dataset in datasets.items()},
+        "sources": {name: source(dataset) for name, dataset in datasets.items()},
+    }
+
+
+def beside_published(report: Report, dataset: PlayDataset) -> pd.DataFrame:
+    """Columns `statistic`, `ours`, `published` (missing where not known)."""
+    ours, published = report.statistics(dataset), report.PUBLISHED
+    return pd.DataFrame([{"statistic": k, "ours": v, "published": published.get(k)} for k, v in ours.items()])

@@ -1,0 +1,73 @@
+"""LaTeX tables from comparison and data, through jinja2 templates."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import pandas as pd
+
+from beso import envs
+from pipeline.params import Params
+from pipeline.report.names import Names
+
+TEMPLATES = Path("reports/templates")
+
+
+def render(template: str, values: dict[str, Any]) -> str:
+    """The LaTeX text of a template, whose marks are \\VAR{...} and \\BLOCK{...}."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        block_start_string=r"\BLOCK{",
+        block_end_string="}",
+        variable_start_string=r"\VAR{",
+        variable_end_string="}",
+        comment_start_string=r"\#{",
+        comment_end_string="}",
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(template).render(values)
+
+
+def main_methods(params: Params) -> list[str]:
+    """Columns of the main table: the methods of all environments, without variants."""
+    return list(dict.fromkeys(cell.method for cell in params.cells.values() if cell.method == cell.of))
+
+
+def main_rows(params: Params, comparison: pd.DataFrame, names: Names) -> list[dict[str, Any]]:
+    """Rows of the main table: environment, metric, whose numbers, and a cell `mean (+- std)` a method."""
+    rows = []
+    for environment in params.envs:
+        goal_sets = params.environments[environment].evaluation.goals
+        part = comparison[comparison["environment"] == environment]
+        for metric in envs.report(environment).METRICS:
+            of_metric = part[part["metric"] == metric.name]
+            for whose in [*goal_sets, "paper"]:
+                cells = []
+                for method in main_methods(params):
+                    goals = goal_sets[0] if whose == "paper" else whose
+                    row = of_metric[(of_metric["method"] == method) & (of_metric["goals"] == goals)]
+                    columns = ("paper", "paper_std") if whose == "paper" else ("ours", "ours_std")
+                    cells.append(tuple(row[list(columns)].iloc[0]) if len(row) else (math.nan, math.nan))
+                rows.append(
+                    {
+                        "environment": names.environments[environment],
+                        "metric": metric.label,
+                        "whose": "paper" if whose == "paper" else f"ours, {names.goals(environment, whose)}",
+                        "first": whose == goal_sets[0],
+                        "cells": cells,
+                    }
+                )
+    return rows
+
+
+def number(value: float | None, decimals: int = 2) -> str:
+    """A number for a table; a dash where there is none."""
+    if value is None or math.isnan(value):
+        return "--"
+    if float(value).is_integer() and abs(value) >= 10:
+        return f"{int(value):,}"
+    return f"{value:.{decimals}f}"

@@ -1,0 +1,1 @@
+"""Commands for people: benchmarks, what a policy makes of its goal, the archive."""

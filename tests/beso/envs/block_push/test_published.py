@@ -1,0 +1,167 @@
+"""Import of files in the published layout: demonstrations first, padded with zeros."""
+
+import pathlib
+
+import numpy as np
+import pytest
+import torch
+
+from beso.envs.block_push.demonstrations.published import load
+from beso.envs.block_push.spec import LONGEST
+from beso.errors import UserError
+from beso.files import sha256
+
+LENGTHS = [5, 8, 3]
+STEPS = 8
+NAMES = ("multimodal_push_observations", "multimodal_push_actions", "multimodal_push_masks", "onehot_goals")
+
+
+@pytest.fixture
+def arrays():
+    rng = np.random.default_rng(0)
+    masks = (np.arange(STEPS) < np.array(LENGTHS)[:, None]).astype(np.float64)
+    tasks = np.zeros((3, STEPS, 4), dtype=np.float32)
+    tasks[:, 1, 2] = tasks[:, 2, 1] = 1
+    tasks[0, 4, 2] = 1  # left and entered again: not a first completion
+    observations = rng.standard_normal((3, STEPS, 16)) * masks[..., None]
+    actions = rng.standard_normal((3, STEPS, 2)) * masks[..., None]
+    return dict(zip(NAMES, (observations, actions, masks, tasks), strict=True))
+
+
+@pytest.fixture
+def write(arrays, tmp_path):
+    """write(**changes) -> folder with the files; None leaves one out."""
+
+    def write(**changes):
+        for name, array in {**arrays, **changes}.items():
+            if array is None:
+                continue
+            if name == "onehot_goals":
+                torch.save(torch.from_numpy(array), tmp_path / f"{name}.pth")
+            else:
+                np.save(tmp_path / f"{name}.npy", array)
+        return tmp_path
+
+    return write
+
+
+def refused(message, folder, spec):
+    with pytest.raises(UserError, match=message) as caught:
+        load(folder)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_reads_the_steps_of_every_demonstration_and_no_padding(write, arrays, spec):
+    data = load(write())
+    assert data.lengths.tolist() == LENGTHS
+    for i, length in enumerate(LENGTHS):
+        steps = slice(data.episode_starts[i], data.episode_ends[i])
+        assert np.array_equal(data.observations[steps], arrays[NAMES[0]][i, :length].astype(np.float32))
+        assert np.array_equal(data.actions[steps], arrays[NAMES[1]][i, :length].astype(np.float32))
+        assert data.completed(i) == (2, 1)
+        assert data.tasks[steps].sum() == 2, "the second entry of a pair is not a completion"
+
+
+def test_the_description_names_the_files_and_their_digests(write, spec):
+    folder = write()
+    files = load(folder).meta["files"]
+    assert files == {path.name: sha256(path) for path in folder.iterdir()}
+
+
+def test_every_array_may_be_a_pth_file(write, arrays, spec):
+    folder = write()
+    expected = load(folder)
+    for name in NAMES[:3]:
+        (folder / f"{name}.npy").unlink()
+        torch.save(torch.from_numpy(arrays[name]), folder / f"{name}.pth")
+    data = load(folder)
+    assert np.array_equal(data.observations, expected.observations)
+    assert np.array_equal(data.episode_ends, expected.episode_ends)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_missing_file_is_refused(write, spec, name):
+    refused(rf"{name}.npy is missing \(nor is there a .pth", write(**{name: None}), spec)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        (NAMES[0], (3, STEPS, 10)),
+        (NAMES[0], (STEPS, 3, 16)),
+        (NAMES[1], (3, STEPS, 3)),
+        (NAMES[1], (3, STEPS - 1, 2)),
+        (NAMES[2], (3, STEPS, 1)),
+        (NAMES[3], (2, STEPS, 4)),
+    ],
+)
+def test_shapes_that_do_not_fit_together_are_refused(write, spec, name, shape):
+    refused(rf"{name}\.\w+ has shape \({', '.join(map(str, shape))}\), expected", write(**{name: np.ones(shape)}), spec)
+
+
+def test_a_mask_with_a_hole_is_refused(write, arrays, spec):
+    masks = arrays[NAMES[2]].copy()
+    masks[1, 3] = 0
+    refused("mask of demonstration 1 is not ones followed by zeros", write(**{NAMES[2]: masks}), spec)
+
+
+def test_an_empty_demonstration_is_refused(write, arrays, spec):
+    masks = arrays[NAMES[2]].copy()
+    masks[2] = 0
+    refused("mask of demonstration 2 is not ones followed by zeros", write(**{NAMES[2]: masks}), spec)
+
+
+@pytest.mark.parametrize("name", NAMES[:2])
+def test_a_value_that_is_not_finite_is_refused(write, arrays, spec, name):
+    arrays[name][1, 2, 0] = np.nan
+    refused("has a value that is not finite .* step 7", write(), spec)  # 5 steps of demonstration 0, then 2
+
+
+def test_padding_may_hold_anything(write, arrays, spec):
+    arrays[NAMES[0]][0, 6] = np.nan
+    assert load(write()).lengths.tolist() == LENGTHS
+
+
+def test_demonstrations_longer_than_the_published_ones_are_refused(write, spec):
+    longer = LONGEST + 1
+    shapes = (3, longer, 16), (3, longer, 2), (3, longer), (3, longer, 4)
+    folder = write(**{name: np.ones(shape) for name, shape in zip(NAMES, shapes, strict=True)})
+    refused("202 steps a demonstration, expected at most 201", folder, spec)
+
+
+def test_a_truncated_npy_file_is_refused(write, spec):
+    path = write() / f"{NAMES[0]}.npy"
+    path.write_bytes(path.read_bytes()[:500])
+    refused("is truncated", path.parent, spec)
+
+
+@pytest.mark.parametrize("content", [b"no tensor at all", b"PK\x03\x04"])
+def test_a_damaged_pth_file_is_refused(write, spec, content):
+    folder = write()
+    (folder / "onehot_goals.pth").write_bytes(content)
+    refused("onehot_goals.pth is damaged or holds more than plain tensors", folder, spec)
+
+
+def test_an_empty_pth_file_is_refused(write, spec):
+    folder = write()
+    (folder / "onehot_goals.pth").write_bytes(b"")
+    refused("onehot_goals.pth is damaged or holds more than plain tensors", folder, spec)
+
+
+def test_a_pth_file_with_a_pickled_object_is_refused_unopened(write, spec):
+    folder = write()
+    torch.save(pathlib.PurePosixPath("anything"), folder / "onehot_goals.pth")
+    refused("onehot_goals.pth is damaged or holds more than plain tensors", folder, spec)
+
+
+def test_a_pth_file_with_something_else_than_a_tensor_is_refused(write, spec):
+    folder = write()
+    torch.save({"goals": torch.zeros(3)}, folder / "onehot_goals.pth")
+    refused("onehot_goals.pth holds a dict, expected one tensor", folder, spec)
+
+
+def test_an_archive_in_place_of_an_array_is_refused(write, arrays, spec):
+    folder = write()
+    with (folder / f"{NAMES[2]}.npy").open("wb") as file:
+        np.savez(file, arrays[NAMES[2]])
+    refused(f"{NAMES[2]}.npy", folder, spec)

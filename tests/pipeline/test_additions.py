@@ -1,0 +1,206 @@
+"""Whoever adds an environment writes one folder, a method one file, a variant parameters; nothing else is touched."""
+
+import textwrap
+
+import pandas as pd
+from ruamel.yaml import YAML
+
+ENVIRONMENT = {
+    "spec.py": """
+        from beso.data.spec import PlaySpec
+
+        SPEC = PlaySpec(
+            name="toy", observation_size=2, action_size=2, visible=(0, 1), goal_masked=(), goal_window=1,
+            tasks=("arrive",), goal_sets=("training",),
+        )
+        """,
+    "report.py": """
+        from beso.envs.protocol import Metric
+
+        LABEL = "Toy"
+        GOAL_LABELS = {"training": "training goals"}
+        METRICS = (Metric("success", "Success", 1.0),)
+        PUBLISHED = {}
+
+
+        def statistics(dataset):
+            return {"demonstrations": len(dataset)}
+        """,
+    "simulator/__init__.py": """
+        import gymnasium
+        import numpy as np
+
+
+        class ToyEnv(gymnasium.Env):
+            def reset(self, *, seed=None, options=None):
+                super().reset(seed=seed)
+                self.state, self.goal = self.np_random.uniform(-1, 1, 2), options["goal"]
+                return self.state.copy(), {"goal": self.goal}
+
+            def step(self, action):
+                self.state = self.state + np.clip(action, -0.1, 0.1)
+                arrived = bool(np.linalg.norm(self.state - self.goal[-1]) < 0.2)
+                return self.state.copy(), float(arrived), arrived, False, {}
+        """,
+    "demonstrations/scripted.py": """
+        import numpy as np
+
+        from beso.data.play import Episode
+        from beso.seeding import generator
+
+
+        def record(seed, index):
+            rng = generator(seed, "toy", index)
+            state, goal, rows = rng.uniform(-1, 1, 2), rng.uniform(-1, 1, 2), []
+            for _ in range(30):
+                action = np.clip(goal - state, -0.1, 0.1)
+                rows.append((state, action))
+                state = state + action
+            observations, actions = (np.array(part, dtype=np.float32) for part in zip(*rows))
+            return Episode(observations, actions, np.zeros((30, 1), dtype=np.uint8), failed_takes=index % 2)
+        """,
+    "demonstrations/published.py": """
+        def load(folder):
+            raise NotImplementedError
+        """,
+    "evaluation.py": """
+        from beso.envs.protocol import demonstration_trials, identity
+        from beso.envs.toy.simulator import ToyEnv
+
+
+        def make(render_mode=None):
+            return ToyEnv()
+
+
+        def trials(request):
+            return demonstration_trials(request, 1, 40)
+
+
+        def encoder(data, device):
+            return identity
+
+
+        def score(trial, outcome):
+            return {"success": outcome.reward, "length": outcome.length}
+        """,
+}
+METHOD = '''
+    """A linear policy."""
+
+    from dataclasses import dataclass
+
+    import torch
+    from torch import nn
+
+    from beso.methods import ModelConfig, Policy, SamplingConfig
+
+
+    @dataclass(frozen=True)
+    class Config(ModelConfig):
+        window: int
+
+
+    @dataclass(frozen=True)
+    class Sampling(SamplingConfig):
+        gain: float
+
+
+    class Method(nn.Module, Policy):
+        def __init__(self, config, sampling, sizes, generator):
+            super().__init__()
+            self.layer = nn.Linear(2 * sizes.observation, sizes.action)
+            with torch.no_grad():
+                self.layer.weight.normal_(0, 0.1, generator=generator)
+                self.layer.bias.zero_()
+            self.gain = sampling.gain if sampling else 1.0
+
+        def _predict(self, observations, goal):
+            return self.layer(torch.cat([observations[:, -1], goal[:, -1]], dim=1))
+
+        def loss(self, batch, generator):
+            return (self._predict(batch.observations, batch.goal) - batch.actions[:, -1]).square().mean()
+
+        def act(self, observations, actions, goal, noise, memory):
+            return self.gain * self._predict(observations, goal)
+    '''
+
+
+def write(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(textwrap.dedent(text).lstrip())
+
+
+def parameters(workspace):
+    return YAML(typ="safe").load((workspace.folder / "params.yaml").read_text())
+
+
+def add_cell(workspace, env, method, of):
+    workspace.set(
+        "cells", {**parameters(workspace)["cells"], f"{env}-{method}": {"env": env, "method": method, "of": of}}
+    )
+
+
+def changed(workspace):
+    """Tracked source files that differ from the last commit, and new ones."""
+    lines = workspace.run("git", "status", "--porcelain", "-uall", "beso", "pipeline", "stages", "dvc.yaml").stdout
+    return {line[3:] for line in lines.splitlines() if "__pycache__" not in line}
+
+
+def test_an_environment_is_one_folder_and_its_parameters(workspace):
+    values = parameters(workspace)
+    for name, text in ENVIRONMENT.items():
+        write(workspace.folder / "beso/envs/toy" / name, text)
+    (workspace.folder / "beso/envs/toy/__init__.py").touch()
+    block_push = values["environments"]["block_push"]
+    evaluation = {**block_push["evaluation"], "goals": ["training"], "max_actions": None}
+    workspace.set("environments", {**values["environments"], "toy": {**block_push, "evaluation": evaluation}})
+    gcbc = values["methods"]["gcbc"]
+    for part in ("train", "sample"):
+        workspace.set(f"methods.gcbc.{part}", {**gcbc[part], "toy": gcbc[part]["block_push"]})
+    add_cell(workspace, "toy", "gcbc", "gcbc")
+    ran = workspace.repro()
+    assert set(ran) == {"collect@toy", "train@toy-gcbc", "evaluate@toy-gcbc", "latency", "tables", "page"}
+    assert all(name.startswith("beso/envs/toy/") for name in changed(workspace))
+    rows = pd.read_csv(workspace.folder / "results/toy/gcbc.csv")
+    assert len(rows) == 2 * 2  # seeds, rollouts
+    assert rows["success"].isin([0, 1]).all()
+    table = (workspace.folder / "reports/tables.tex").read_text()
+    assert "Toy & Success & ours, training goals" in table
+    assert '"failed_takes": 6' in (workspace.folder / "data/play/toy/meta.json").read_text()
+
+
+def test_a_method_is_one_file_and_its_parameters(workspace):
+    values = parameters(workspace)
+    write(workspace.folder / "beso/methods/linear.py", METHOD)
+    optimization = values["methods"]["gcbc"]["train"]["block_push"]["optimization"]
+    train = {"model": {"window": 1}, "optimization": optimization}
+    block = {"label": "Linear", "train": {"block_push": train}, "sample": {"block_push": {"gain": 1.0}}}
+    workspace.set("methods", {**values["methods"], "linear": block})
+    add_cell(workspace, "block_push", "linear", "linear")
+    cells = {"train@block_push-linear", "evaluate@block_push-linear"}
+    assert set(workspace.repro()) == cells | {"latency", "fork", "tables", "page"}
+    assert changed(workspace) == {"beso/methods/linear.py"}
+    assert "& Linear" in (workspace.folder / "reports/tables.tex").read_text()
+    workspace.set("methods.linear.sample.block_push.gain", 2.0)
+    assert workspace.repro() == ["evaluate@block_push-linear", "tables", "page"]
+
+
+def test_a_variant_is_parameters_alone(workspace):
+    values = parameters(workspace)
+    film = {"model": {"transformer": {"conditioning": "film"}}}
+    block = {"label": "C-BESO, FiLM", "train": {"block_push": film}, "sample": {"block_push": {}}}
+    workspace.set("methods", {**values["methods"], "c_beso_film": block})
+    add_cell(workspace, "block_push", "c_beso_film", "c_beso")
+    cells = ["train@block_push-c_beso_film", "evaluate@block_push-c_beso_film"]
+    assert [stage for stage in workspace.repro() if "@" in stage] == cells
+    assert changed(workspace) == set()
+    comparison = pd.read_csv(workspace.folder / "reports/comparison.csv")
+    assert len(comparison[comparison["method"] == "c_beso_film"]) == 2 * 2  # metrics, goal sets
+    # A change of the method it changes reaches the variant too.
+    workspace.set("methods.c_beso.sample.block_push.steps", 4)
+    ran = workspace.repro()
+    assert {"evaluate@block_push-c_beso", "evaluate@block_push-c_beso_film"} <= set(ran)
+    assert not any(stage.startswith("train") for stage in ran)
+    workspace.set("methods.c_beso_film.train.block_push.model.depth", 3)
+    done = workspace.run("dvc", "repro", check=False)
+    assert "methods.c_beso_film.train.block_push.model.depth = 3: unknown key" in done.stdout
