@@ -1,0 +1,113 @@
+"""The relay kitchen (Gupta et al. 2019) on gymnasium-robotics' FrankaKitchen-v1.
+
+Observation, 30 numbers, with noise (radians, metres):
+
+    0-6 arm joints      7-8 fingers
+    9-16 four knobs and their burners (two numbers each; the bottom burner is 11-12, the top burner 15-16)
+    17-18 light switch and its light    19 slide cabinet    20-21 left and right hinge cabinet    22 microwave
+    23-29 kettle, position and quaternion (w first)
+
+Action, 9 numbers in [-1, 1]: velocities of arm joints and fingers in units of 2 rad/s (m/s), for one step of 0.08 s.
+An action moves the joints from where they were last *observed*, so that the noise acts on the robot too.
+"""
+
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+
+from beso.envs.kitchen import spec
+from beso.envs.kitchen.simulator.camera import Camera
+from beso.envs.kitchen.simulator.franka_kitchen import franka_kitchen
+
+ROBOT, OBJECTS = slice(0, 9), slice(18, 39)  # in the wrapped environment's observation; the rest are velocities
+# Largest noise of the 21 objects' coordinates: 0.1 times the amplitudes that the relay environment uses, the last 21 of
+# its configuration's 35. The wrapped environment would use others, and the robot's last for its first.
+OBJECT_NOISE = 0.1 * np.repeat([0.0005, 0.005, 0.1, 0.005, 0.1, 0.005, 0.1], 3)
+
+
+class KitchenEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """Gymnasium environment `beso/Kitchen-v0`.
+
+    Every episode starts in the same state; the seed fixes the noise. The reward is 1 for each of the seven tasks that
+    is done for the first time in an episode, and the episode ends when all are done.
+
+    `info["tasks"]` is the tuple of tasks done so far (indices into spec.TASKS) in order. `info["goal"]` after a reset
+    is what `options["goal"]` gave: (G, 30) states for a goal-conditioned policy.
+
+    Args:
+        render_mode: None, or "rgb_array" for pictures of `render_size` pixels.
+        render_size: (height, width) of rendered pictures.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 12}  # noqa: RUF012 (as gymnasium has it)
+
+    def __init__(self, render_mode: str | None = None, render_size: tuple[int, int] = (240, 320)) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode {render_mode!r} is not one of None, 'rgb_array'")
+        self.render_mode, self.render_size = render_mode, render_size
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, shape=(30,), dtype=np.float64)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, shape=(9,), dtype=np.float32)
+        self._kitchen = franka_kitchen()
+        self._tasks: list[int] = []
+        self._camera: Camera | None = None
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled scene, shared by all kitchens of the process: not to be written to."""
+        return self._kitchen.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The simulation's state."""
+        return self._kitchen.data
+
+    def done(self) -> np.ndarray:
+        """Which tasks are done now, noise aside, (7,) booleans."""
+        return spec.done(self.data.qpos)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode. With a seed it depends on nothing that was played before."""
+        super().reset(seed=seed)
+        # The wrapped environment draws the robot's noise from a stream of its own.
+        observation, _ = self._kitchen.reset(seed=int(self.np_random.integers(2**31)))
+        self._tasks = []
+        info: dict[str, Any] = {"tasks": ()}
+        if options and "goal" in options:
+            info["goal"] = np.array(options["goal"])
+        return self._state(observation), info
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Move the joints with velocities `action`, (9,) in units of 2 rad/s, for 0.08 s."""
+        observation, _, _, _, _ = self._kitchen.step(np.asarray(action, dtype=np.float64))
+        # Read off here: what the wrapped environment reports is ordered by the hashes of names, which change between
+        # processes.
+        new = [int(task) for task in np.flatnonzero(self.done()) if task not in self._tasks]
+        self._tasks += new
+        all_done = len(self._tasks) == len(spec.TASKS)
+        return self._state(observation), float(len(new)), all_done, False, {"tasks": tuple(self._tasks)}
+
+    def _state(self, observation: dict[str, Any]) -> np.ndarray:
+        """The relay environment's 30 numbers of the wrapped environment's 59."""
+        robot, objects = observation["observation"][ROBOT], observation["observation"][OBJECTS]
+        return np.concatenate([robot, objects + OBJECT_NOISE * self.np_random.uniform(-1, 1, len(OBJECT_NOISE))])
+
+    def render(self) -> np.ndarray | None:
+        """A picture of the scene, (height, width, 3) uint8 RGB.
+
+        Raises:
+            UserError: MuJoCo cannot draw on this machine.
+        """
+        if self.render_mode is None:
+            return None
+        self._camera = self._camera or Camera(self.model, self.render_size)
+        return self._camera.picture(self.data)
+
+    def close(self) -> None:
+        """Free the camera."""
+        if self._camera:
+            self._camera.close()
+            self._camera = None
