@@ -109,6 +109,15 @@ class Progress:
             self.show("", end="")
 
 
+def followers(name: str, waiting: dict[str, set[str]]) -> set[str]:
+    """The waiting stages (in topological order) that cannot run before this one has."""
+    found = {name}
+    for other, before in waiting.items():
+        if before & found:
+            found.add(other)
+    return found - {name}
+
+
 def execute(waits_for: dict[str, set[str]], jobs: int, cores: int) -> tuple[list[str], list[str]]:
     """Run stages, up to `jobs` at once.
 
@@ -133,6 +142,9 @@ def execute(waits_for: dict[str, set[str]], jobs: int, cores: int) -> tuple[list
                     failed.append(child.name)
                     progress.show(child.failure())
             ready = [name for name, before in waiting.items() if before <= done][: jobs - len(running)]
+            # What most others wait for runs first and alone, with all cores: beside it there is too little to do.
+            if urgent := [name for name in ready if 2 * len(followers(name, waiting)) > len(waiting)]:
+                ready = urgent[:1] if not running else []
             workers = max(1, cores // max(1, len(running) + len(ready)))
             for name in ready:
                 del waiting[name]

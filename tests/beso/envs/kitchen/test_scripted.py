@@ -25,8 +25,13 @@ def demonstrations():
 
 @pytest.mark.parametrize(("task", "mode"), MODES, ids=lambda value: str(value))
 def test_every_skill_succeeds_in_every_mode(env, task, mode):
-    tries = [Player(env, generator(1, "test of a skill", task, i)).do(task, mode, attempts=1) for i in range(3)]
-    assert all(tries)
+    """At the second attempt at the latest, and most of the time at the first."""
+    attempts = 0
+    for i in range(3):
+        player = Player(env, generator(1, "test of a skill", task, i))
+        assert player.do(task, mode)
+        attempts += len(player.modes)
+    assert attempts <= 4
 
 
 def test_there_are_twenty_four_sets_of_four_tasks_in_the_human_order():
