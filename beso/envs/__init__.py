@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from beso.errors import UserError
@@ -25,8 +26,9 @@ if TYPE_CHECKING:
 
 
 def names() -> list[str]:
-    """Names of all environments."""
-    return sorted(m.name for m in pkgutil.iter_modules(__path__) if m.ispkg)
+    """Names of all environments: the rooms that have a spec; one without is not finished."""
+    rooms = [m.name for m in pkgutil.iter_modules(__path__) if m.ispkg]
+    return sorted(name for name in rooms if (Path(__path__[0]) / name / "spec.py").is_file())
 
 
 def spec(name: str) -> PlaySpec:

@@ -1,0 +1,133 @@
+"""A hand that walks between waypoints: the controller under all scripted skills.
+
+A skill is a generator of actions (7,). Whoever plays it carries out each action before asking for the next one, so
+that the skill sees the table as it has become.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from beso.envs.calvin.observations import CLOSE, OPEN, TCP_EULER, TCP_POSITION, block_slice, wrap
+from beso.envs.calvin.simulator.arm import ANGLE_STEP, POSITION_STEP
+from beso.envs.calvin.simulator.play_table import PlayTable
+
+Motion = Iterator[np.ndarray]
+Place = Callable[[], np.ndarray]  # a waypoint that may move while the hand is on its way, (3,) metres
+
+DOWN: Final = np.pi  # roll of a hand that points down
+YAW: Final = 1.5  # of the neutral pose: the fingers open along x
+SAFE_HEIGHT: Final = 0.58  # m; above everything that stands on the table
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How a hand moves.
+
+    Attributes:
+        pace: factor on speeds.
+        noise: standard deviation of noise on the translation of actions, in units of actions.
+        height: m, added to the heights at which it hovers.
+    """
+
+    pace: float = 1.0
+    noise: float = 0.0
+    height: float = 0.0
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> "Manner":
+        """A manner as different people have it."""
+        return cls(rng.uniform(0.65, 1.25), rng.uniform(0.0, 0.12), rng.uniform(0.0, 0.03))
+
+
+class Hand:
+    """The arm of a table, led by waypoints.
+
+    Args:
+        table: the table, which someone else steps.
+        rng: source of the noise.
+        manner: how it moves; may be replaced between skills.
+    """
+
+    def __init__(self, table: PlayTable, rng: np.random.Generator, manner: Manner | None = None) -> None:
+        self.table, self.rng = table, rng
+        self.manner = manner or Manner()
+        self.grip = OPEN
+
+    @property
+    def position(self) -> np.ndarray:
+        """Where the tcp is, (3,) metres."""
+        return self.table.robot_obs()[TCP_POSITION]
+
+    @property
+    def yaw(self) -> float:
+        """The yaw that the hand is told to have, radians."""
+        return float(self.table.arm.target_euler[2])
+
+    def joint(self, index: int) -> float:
+        """An entry of the scene: SLIDE, DRAWER, ..., LED."""
+        return float(self.table.fixtures.observation()[index])
+
+    def block(self, block: int) -> np.ndarray:
+        """Pose of a block: xyz and euler xyz, (6,)."""
+        return self.table.scene_obs()[block_slice(block)]
+
+    def close(self, steps: int = 8) -> Motion:
+        """Close the gripper where it is."""
+        self.grip = CLOSE
+        yield from self.wait(steps)
+
+    def open(self, steps: int = 8) -> Motion:
+        """Open the gripper where it is."""
+        self.grip = OPEN
+        yield from self.wait(steps)
+
+    def wait(self, steps: int) -> Motion:
+        """Stand still."""
+        for _ in range(steps):
+            yield self._action(np.zeros(3), np.zeros(3))
+
+    def rise(self, height: float = SAFE_HEIGHT) -> Motion:
+        """Go straight up to `height`, metres, if the hand is lower."""
+        x, y, z = self.position
+        yield from self.go((x, y, max(z, height)), yaw=self.yaw, tolerance=0.02)
+
+    def go(
+        self,
+        place: Place | tuple[float, ...] | np.ndarray,
+        yaw: float = YAW,
+        roll: float = DOWN,
+        speed: float = 0.8,
+        tolerance: float = 0.01,
+        limit: int = 60,
+        until: Callable[[], bool] | None = None,
+    ) -> Motion:
+        """Move to a waypoint.
+
+        Args:
+            place: where to, fixed or moving, xyz in metres.
+            yaw, roll: orientation to have there, radians.
+            speed: largest component of the actions' translation, at most 1, at a pace of 1.
+            tolerance: metres from the waypoint at which the hand has arrived, if it is turned to within 0.1 rad.
+            limit: the hand gives up after as many steps at a pace of 1.
+            until: the motion also ends when this is true after an action.
+        """
+        target = place if callable(place) else (lambda: np.asarray(place))
+        wanted = np.array([roll, 0.0, yaw])
+        speed = min(1.0, speed * self.manner.pace)
+        for _ in range(round(limit / min(1.0, self.manner.pace))):
+            shift = (target() - self.table.arm.target_position) / POSITION_STEP
+            shift = shift * min(1.0, speed / max(np.abs(shift).max(), 1e-9))
+            yield self._action(shift, wrap(wanted - self.table.arm.target_euler) / ANGLE_STEP)
+            if until is not None and until():
+                return
+            robot = self.table.robot_obs()
+            turned = abs(wrap(robot[TCP_EULER][2] - yaw)) < 0.1
+            if turned and np.linalg.norm(robot[TCP_POSITION] - target()) < tolerance:
+                return
+
+    def _action(self, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        noise = self.rng.normal(0.0, self.manner.noise, 3) if self.manner.noise else 0.0
+        return np.array([*np.clip(shift + noise, -1, 1), *np.clip(turn, -1, 1), self.grip])
