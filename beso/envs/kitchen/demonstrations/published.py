@@ -1,0 +1,139 @@
+"""Import of human demonstrations of the kitchen from a local folder, in either of two published forms.
+
+The relay demonstrations as conditional behaviour transformers use them (Cui et al. 2023, after Gupta et al. 2019): N
+demonstrations padded to T steps, time first. Each array may be a .npy or a .pth file of that stem.
+
+    observations_seq   (T, N, 60)  30 numbers as the simulator has them, then a goal that is not used
+    actions_seq        (T, N, 9)
+    existence_mask     (T, N)      1 for the steps of the demonstration, then 0
+    onehot_goals       (T, N, 7)   1 at the task that is being done; a task's last 1 is taken for its completion
+
+Or a Minari dataset of FrankaKitchen-v1 (D4RL/kitchen/...): the folder that holds main_data.hdf5, or its parent. Its
+observations have velocities, which are left out; what is done when is read off the observations.
+"""
+
+import importlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from beso.data.play import Episode, PlayDataset, assemble
+from beso.envs import published
+from beso.envs.kitchen.spec import SPEC, done
+from beso.errors import UserError
+from beso.files import sha256
+
+FILES = {
+    "observations": "observations_seq",
+    "actions": "actions_seq",
+    "masks": "existence_mask",
+    "tasks": "onehot_goals",
+}
+WIDTHS = {"observations": 60, "actions": SPEC.action_size, "tasks": len(SPEC.tasks)}
+COLUMNS = (  # of onehot_goals
+    "bottom burner",
+    "top burner",
+    "light switch",
+    "slide cabinet",
+    "hinge cabinet",
+    "microwave",
+    "kettle",
+)
+LONGEST = 409  # steps of the longest published demonstration
+
+HDF5 = "main_data.hdf5"
+FRANKA_KITCHEN_WIDTH = 59
+ROBOT, OBJECTS = slice(0, 9), slice(18, 39)  # in observations of FrankaKitchen-v1; the rest are velocities
+
+LARGEST_COORDINATE = 11.0  # rad or m; the widest bound in the robot's and kitchen's configuration is 10.57
+LARGEST_ACTION = 1.0 + 1e-6
+
+
+def load(folder: Path) -> PlayDataset:
+    """Read published demonstrations, relay arrays or a Minari dataset, whichever the folder holds.
+
+    Raises:
+        UserError: a file is missing or damaged, shapes do not fit together, a mask is not a run of ones followed by
+            zeros, a value is not finite or out of range, or the package that reads the files is not installed.
+    """
+    for place in (folder, folder / "data"):
+        if (place / HDF5).is_file():
+            return _load_minari(place)
+    return _load_relay(folder)
+
+
+def _load_relay(folder: Path) -> PlayDataset:
+    paths = {name: published.find(folder, stem) for name, stem in FILES.items()}
+    arrays = {name: published.read(path) for name, path in paths.items()}
+    masks = arrays["masks"]
+    if masks.ndim != 2:
+        raise UserError(f"{paths['masks']} has shape {masks.shape}, expected (steps, demonstrations)")
+    for name, width in WIDTHS.items():
+        if arrays[name].shape != (*masks.shape, width):
+            raise UserError(f"{paths[name]} has shape {arrays[name].shape}, expected {(*masks.shape, width)}")
+    if masks.shape[0] > LONGEST:
+        raise UserError(f"{paths['masks']} has {masks.shape[0]} steps a demonstration, expected at most {LONGEST}")
+    episodes = [
+        Episode(
+            arrays["observations"][:length, i, : SPEC.observation_size],
+            arrays["actions"][:length, i],
+            _last_entries(arrays["tasks"][:length, i], i, paths["tasks"]),
+        )
+        for i, length in enumerate(published.lengths(masks.T, paths["masks"]))
+    ]
+    return _checked(episodes, "published relay kitchen", list(paths.values()))
+
+
+def _last_entries(onehot: np.ndarray, demonstration: int, path: Path) -> np.ndarray:
+    """Keep only the last 1 of each column of (T, 7), and put the columns into the spec's order."""
+    if not np.isin(onehot, (0, 1)).all() or not onehot.any():
+        raise UserError(f"{path}: the tasks of demonstration {demonstration} are not zeros and at least a one")
+    columns = [COLUMNS.index(task) for task in SPEC.tasks]
+    return published.first_entries(onehot[::-1, columns])[::-1]
+
+
+def _load_minari(folder: Path) -> PlayDataset:
+    path = folder / HDF5
+    try:
+        dataset = importlib.import_module("minari").MinariDataset(folder)
+        recorded = list(dataset.iterate_episodes())
+    except ImportError as error:
+        raise UserError(
+            f"{path} is a Minari dataset; reading it needs the packages minari and h5py: "
+            f"install this project with its extra [minari] ({error})"
+        ) from None
+    except Exception as error:  # damage shows in many kinds of exception, some with many lines
+        raise UserError(f"{path} is damaged or no Minari dataset ({type(error).__name__})") from None
+    episodes = list(_minari_episodes(recorded, path))
+    return _checked(episodes, "Minari kitchen", [path, folder / "metadata.json"])
+
+
+def _minari_episodes(recorded: list[Any], path: Path) -> Iterator[Episode]:
+    for i, episode in enumerate(recorded):
+        if not isinstance(episode.observations, dict) or "observation" not in episode.observations:
+            raise UserError(f"{path}: the observations of episode {i} are not those of FrankaKitchen-v1")
+        states = episode.observations["observation"]
+        # One observation more than actions: the last one, in which nothing was done, is left out.
+        expected = (len(episode.actions) + 1, FRANKA_KITCHEN_WIDTH)
+        if states.shape != expected:
+            raise UserError(f"{path}: the observations of episode {i} have shape {states.shape}, expected {expected}")
+        if episode.actions.shape[1:] != (SPEC.action_size,):
+            raise UserError(f"{path}: an action of episode {i} is not {SPEC.action_size} numbers")
+        coordinates = np.concatenate([states[:-1, ROBOT], states[:-1, OBJECTS]], axis=1)
+        yield Episode(coordinates, episode.actions, published.first_entries(done(coordinates)))
+
+
+def _checked(episodes: list[Episode], source: str, paths: list[Path]) -> PlayDataset:
+    """One dataset; values that are not finite are refused where it is put together, others out of range here."""
+    dataset = assemble(episodes, SPEC, {"source": source, "files": {path.name: sha256(path) for path in paths}})
+    for name, largest in (("observations", LARGEST_COORDINATE), ("actions", LARGEST_ACTION)):
+        worst = np.abs(getattr(dataset, name)).max(axis=1)
+        if worst.max() > largest:
+            step = int(np.argmax(worst > largest))
+            episode = int(np.searchsorted(dataset.episode_ends, step, side="right"))
+            raise UserError(
+                f"{source}: {name} of demonstration {episode} reach {worst[step]:.6g}, expected at most {largest:g}"
+            )
+    return dataset
