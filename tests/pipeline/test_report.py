@@ -88,7 +88,17 @@ def test_page_is_whole_and_needs_nothing_else(finished):
     assert all(source.startswith("data:") for source in links.sources)
     assert "url(" not in page
     assert "@import" not in page
-    for text in ("Main results", "Comparison", "Play data", "Latency", "profile: smoke", "torch", "scripted", "0.96"):
+    for text in (
+        "Main results",
+        "Comparison",
+        "Studies",
+        "Play data",
+        "Latency",
+        "profile: smoke",
+        "torch",
+        "scripted",
+        "0.96",
+    ):
         assert text in page
     assert len(page) < 15e6
 
@@ -117,3 +127,29 @@ def test_films_play_back(tmp_path):
     assert np.abs(decoded[-1].astype(int) - frames[-1]).mean() < 12  # VP8 is lossy
     write_video(tmp_path / "again.webm", frames, 20)
     assert (tmp_path / "again.webm").read_bytes() == (tmp_path / "film.webm").read_bytes()
+
+
+def test_watch_films_an_episode_of_the_evaluation(finished, tmp_path):
+    film = tmp_path / "watch.webm"
+    command = ("-m", "pipeline.watch", "block_push", "c_beso", "--seed", "2", "--episode", "1", "--film", str(film))
+    shown = finished.python(*command).stdout
+    rows = pd.read_csv(finished.folder / "results/block_push/c_beso.csv")
+    row = rows[(rows["seed"] == 2) & (rows["goals"] == "training") & (rows["episode"] == 1)].iloc[0]
+    assert f"goal_demonstration {row['goal_demonstration']}, " in shown
+    assert f"length {row['length']}" in shown
+    frames, capture = 0, cv2.VideoCapture(str(film))
+    while capture.read()[0]:
+        frames += 1
+    assert frames == row["length"] + 1
+
+
+def test_studies_have_a_row_an_episode_and_sampling_from_the_same_starts(finished):
+    rows = pd.read_csv(finished.folder / "results/studies/solvers_block_push.csv")
+    assert rows["sampler"].unique().tolist() == ["ddim", "heun"]
+    parts = [part.drop(columns="sampler").reset_index(drop=True) for _, part in rows.groupby("sampler")]
+    same = ["seed", "goals", "episode", "goal_demonstration", "goal_tasks"]
+    assert parts[0][same].equals(parts[1][same])
+    # The first sampling is the cell's own, and so are its rows.
+    cell = pd.read_csv(finished.folder / "results/block_push/c_beso.csv")
+    assert parts[0].equals(cell)
+    assert "Study solvers block push: C-BESO" in (finished.folder / "reports/tables.tex").read_text()
