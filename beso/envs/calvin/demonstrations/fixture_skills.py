@@ -16,7 +16,7 @@ from beso.envs.calvin.simulator.table import DRAWER_TRAVEL, SLIDE_TRAVEL, SWITCH
 BUTTON_TOP = np.array([-0.12, -0.12, 0.486])
 SWITCH_DIRECTION = np.array([0.0, 0.5, 0.866])  # in which its joint grows: upward and away
 # A hand that points straight down cannot reach the switch; tilted outward it can.
-SWITCH_ROLL, SWITCH_YAW = DOWN - 0.7, 2.2
+SWITCH_TILT, SWITCH_YAW = (DOWN[0] - 0.7, DOWN[1]), 2.2
 END: Final = 0.01  # m; this near the end of its travel a joint counts as moved
 
 
@@ -102,9 +102,9 @@ def move_switch(hand: Hand, on: bool) -> Motion:
     }
     before, touch, through = ways[on]
     side, goal = (1, SWITCH_TRAVEL - END) if on else (-1, END)
-    go = partial(hand.go, roll=SWITCH_ROLL, yaw=SWITCH_YAW)
+    turned = partial(hand.go, yaw=SWITCH_YAW, tilt=SWITCH_TILT)
     hand.grip = CLOSE
-    yield from go(at(*before), tolerance=0.03)
-    yield from go(at(*touch), tolerance=0.02)
-    yield from go(at(*through), speed=0.6, tolerance=0.005, until=lambda: side * (hand.joint(SWITCH) - goal) > 0)
-    yield from go(at(-0.03, -0.10, 0.03), tolerance=0.03)
+    yield from turned(at(*before), tolerance=0.03)
+    yield from turned(at(*touch), tolerance=0.02)
+    yield from turned(at(*through), speed=0.6, tolerance=0.005, until=lambda: side * (hand.joint(SWITCH) - goal) > 0)
+    yield from turned(at(-0.03, -0.10, 0.03), tolerance=0.03)

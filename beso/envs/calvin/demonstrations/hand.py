@@ -17,7 +17,7 @@ from beso.envs.calvin.simulator.play_table import PlayTable
 Motion = Iterator[np.ndarray]
 Place = Callable[[], np.ndarray]  # a waypoint that may move while the hand is on its way, (3,) metres
 
-DOWN: Final = np.pi  # roll of a hand that points down
+DOWN: Final = (np.pi, 0.0)  # roll and pitch of a hand that points down
 YAW: Final = 1.5  # of the neutral pose: the fingers open along x
 SAFE_HEIGHT: Final = 0.58  # m; above everything that stands on the table
 
@@ -66,6 +66,12 @@ class Hand:
         """The yaw that the hand is told to have, radians."""
         return float(self.table.arm.target_euler[2])
 
+    @property
+    def tilt(self) -> tuple[float, float]:
+        """The roll and pitch that the hand is told to have, radians."""
+        roll, pitch, _ = self.table.arm.target_euler
+        return float(roll), float(pitch)
+
     def joint(self, index: int) -> float:
         """An entry of the scene: SLIDE, DRAWER, ..., LED."""
         return float(self.table.fixtures.observation()[index])
@@ -98,7 +104,7 @@ class Hand:
         self,
         place: Place | tuple[float, ...] | np.ndarray,
         yaw: float = YAW,
-        roll: float = DOWN,
+        tilt: tuple[float, float] = DOWN,
         speed: float = 0.8,
         tolerance: float = 0.01,
         limit: int = 60,
@@ -108,19 +114,22 @@ class Hand:
 
         Args:
             place: where to, fixed or moving, xyz in metres.
-            yaw, roll: orientation to have there, radians.
+            yaw, tilt: orientation to have there, radians.
             speed: largest component of the actions' translation, at most 1, at a pace of 1.
             tolerance: metres from the waypoint at which the hand has arrived, if it is turned to within 0.1 rad.
             limit: the hand gives up after as many steps at a pace of 1.
             until: the motion also ends when this is true after an action.
         """
         target = place if callable(place) else (lambda: np.asarray(place))
-        wanted = np.array([roll, 0.0, yaw])
+        wanted = np.array([*tilt, yaw])
         speed = min(1.0, speed * self.manner.pace)
         for _ in range(round(limit / min(1.0, self.manner.pace))):
             shift = (target() - self.table.arm.target_position) / POSITION_STEP
             shift = shift * min(1.0, speed / max(np.abs(shift).max(), 1e-9))
-            yield self._action(shift, wrap(wanted - self.table.arm.target_euler) / ANGLE_STEP)
+            turn = wanted - self.table.arm.target_euler
+            # Yaw is not wrapped: the shorter way round would run the wrist into its limit.
+            turn[:2] = wrap(turn[:2])
+            yield self._action(shift, turn / ANGLE_STEP)
             if until is not None and until():
                 return
             robot = self.table.robot_obs()

@@ -29,7 +29,8 @@ def write_assets(folder: Path) -> Assets:
     texts = {"panda": panda_urdf(), "table": table_urdf(), **{name: block_urdf(name) for name in BLOCKS}}
     for name, text in texts.items():
         (folder / f"{name}.urdf").write_text(text)
-    return Assets(folder / "panda.urdf", folder / "table.urdf", tuple(folder / f"{name}.urdf" for name in BLOCKS))
+    panda, table, *blocks = (folder / f"{name}.urdf" for name in texts)
+    return Assets(panda, table, tuple(blocks))
 
 
 def official_assets(folder: Path) -> Assets:

@@ -1,8 +1,9 @@
 """The CALVIN environment for policies: static camera in, relative Cartesian actions out.
 
 The environment of the paper's CALVIN experiments (Mees et al. 2022), written anew: control, physics, joints, state
-vectors, camera and start distribution are CALVIN's, the looks are our own (flat colours), unless a folder with CALVIN's
-files is given. There is no reward and no termination: `beso.envs.calvin.tasks` judges tasks from `info["state"]`.
+vectors, camera and start distribution are CALVIN's, the looks are our own (flat colours), unless a folder with
+CALVIN's files is given. There is no reward and no termination: tasks are judged from `info["state"]`, see
+`beso.envs.calvin.tasks`.
 """
 
 from pathlib import Path
@@ -27,7 +28,8 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     Observations are (size, size, 3) uint8 RGB. Actions are (7,): xyz, euler xyz, gripper (> 0 opens), in [-1, 1].
 
-    `info` holds "robot_obs" (15,), "scene_obs" (24,) (see `beso.envs.calvin.observations`), and "state", a TableState.
+    `info` holds "robot_obs" (15,) and "scene_obs" (24,), see `beso.envs.calvin.observations`, and "state", a
+    TableState.
 
     Raises:
         ValueError: an unknown render_mode.

@@ -50,7 +50,11 @@ def block_urdf(name: str) -> str:
 
 
 def _base() -> str:
-    shapes = box((-0.44, -0.18, 0.40), (0.44, 0.18, TABLE_TOP), WOOD)
+    shapes = box((-0.44, -0.18, 0.40), (0.44, 0.02, TABLE_TOP), WOOD)
+    # The slab is cut out below the plank: a block there would be 1 mm from it, which PyBullet reports as contact.
+    shapes += box((-0.44, 0.02, 0.40), (0.44, 0.18, 0.415), WOOD)
+    shapes += box((-0.44, 0.02, 0.415), (-0.36, 0.18, TABLE_TOP), WOOD)
+    shapes += box((0.16, 0.02, 0.415), (0.44, 0.18, TABLE_TOP), WOOD)
     shapes += box((-0.44, 0.16, 0), (0.44, 0.18, 0.648), WOOD)  # board at the back
     for x in (-0.42, 0.42):
         for y in (-0.16, 0.16):

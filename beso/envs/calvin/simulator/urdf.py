@@ -78,5 +78,6 @@ def prismatic(name: str, child: str, xyz: Vector, rpy: Vector, axis: Vector, tra
 
 
 def robot(name: str, body: str) -> str:
-    """The whole file."""
+    """The whole file. PyBullet reads it by lines and cuts long ones, hence the line breaks."""
+    body = body.replace("><", ">\n<")
     return f'<?xml version="1.0"?>\n<robot name="{name}">{body}</robot>\n'

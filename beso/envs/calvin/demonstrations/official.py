@@ -1,0 +1,157 @@
+"""CALVIN's own layout of data sets: one .npz file a frame.
+
+    episode_0000000.npz, ...   rgb_static (200, 200, 3) uint8, robot_obs (15,), scene_obs (24,), rel_actions (7,),
+                               actions (7,), and pictures of other cameras, which are not read
+    ep_start_end_ids.npy       (episodes, 2) numbers of each episode's first and last frame
+
+This is the contents of the folder `training` or `validation` of a data set of github.com/mees/calvin.
+"""
+
+import itertools
+import re
+import zipfile
+import zlib
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from beso.data.play import read_npy, write_npy
+from beso.envs.calvin import tasks
+from beso.envs.calvin.demonstrations.raw import BATCH, RawPlay, writing
+from beso.envs.calvin.observations import ACTION_SIZE, ROBOT_SIZE, SCENE_SIZE
+from beso.errors import UserError
+from beso.files import replacing
+
+STATE_SIZES: Final = {
+    "robot_obs": ROBOT_SIZE,
+    "scene_obs": SCENE_SIZE,
+    "rel_actions": ACTION_SIZE,
+    "actions": ACTION_SIZE,
+}
+FRAME_KEY: Final = "rgb_static"
+DIGITS: Final = 7
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The frames of a folder: (first, last) number of every episode, and how many digits the files' names have."""
+
+    folder: Path
+    episodes: tuple[tuple[int, int], ...]
+    digits: int
+
+    def path(self, number: int) -> Path:
+        """The file of one frame."""
+        return self.folder / f"episode_{number:0{self.digits}d}.npz"
+
+
+def layout(folder: Path) -> Layout:
+    """Find out which frames a folder has, and check that none is missing.
+
+    Raises:
+        UserError: there is no such data set, its list of episodes is damaged, or a frame is missing.
+    """
+    index = folder / "ep_start_end_ids.npy"
+    if not index.is_file():
+        raise UserError(f"{index} is missing; the folder must be `training` or `validation` of a CALVIN data set")
+    bounds = read_npy(index)
+    if bounds.ndim != 2 or bounds.shape[1] != 2 or bounds.dtype.kind not in "iu" or len(bounds) == 0:
+        raise UserError(f"{index} holds {bounds.dtype} {bounds.shape}, expected whole numbers (episodes, 2)")
+    episodes = tuple(sorted((int(first), int(last)) for first, last in bounds))
+    for first, last in episodes:
+        if not 0 <= first <= last:
+            raise UserError(f"{index}: an episode from frame {first} to {last}; the first must not exceed the last")
+    for (_, last), (first, _) in itertools.pairwise(episodes):
+        if first <= last:
+            raise UserError(f"{index}: an episode starts at frame {first} before another ends at {last}")
+    present = {path.name for path in folder.iterdir()}
+    names = [re.fullmatch(r"episode_(\d+)\.npz", name) for name in present]
+    digits = {len(match.group(1)) for match in names if match}
+    found = Layout(folder, episodes, digits.pop() if len(digits) == 1 else DIGITS)
+    for first, last in episodes:
+        for number in range(first, last + 1):
+            if found.path(number).name not in present:
+                raise UserError(f"{found.path(number)} is missing, a frame of the episode from {first} to {last}")
+    return found
+
+
+def read_frame(path: Path, size: int | None) -> dict[str, np.ndarray]:
+    """Read what is needed of one frame.
+
+    Args:
+        path: the .npz file.
+        size: height and width that the picture is brought to, pixels; None leaves it as it is.
+
+    Raises:
+        UserError: the file is truncated, a key is missing, or an array has another shape.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            found = {key: archive[key] for key in (FRAME_KEY, *STATE_SIZES)}
+    except KeyError as error:
+        raise UserError(f"{path} has no array of this name: {error.args[0]}") from None
+    except (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
+        raise UserError(f"{path} is truncated or is not an .npz file ({error})") from None
+    for key, width in STATE_SIZES.items():
+        if found[key].shape != (width,) or not np.isfinite(found[key]).all():
+            raise UserError(f"{path}: {key} has shape {found[key].shape}, expected {width} finite numbers")
+    frame = found.pop(FRAME_KEY)
+    if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
+        raise UserError(f"{path}: {FRAME_KEY} is {frame.dtype} {frame.shape}, expected uint8 (height, width, 3)")
+    if size is not None and frame.shape[:2] != (size, size):
+        frame = cv2.resize(frame, (size, size), interpolation=cv2.INTER_AREA)
+    return {"frames": frame, **found}
+
+
+def convert(source: Path, target: Path, size: int | None, workers: int, meta: Mapping[str, Any]) -> None:
+    """Bring a data set in CALVIN's layout into the form of `raw`, episode by episode.
+
+    Its tasks are unknown, so the column `tasks` stays zero, and each episode is one segment; meta.json says so.
+
+    Args:
+        source: the folder `training` or `validation`.
+        target: the folder to write.
+        size: height and width of the frames written, pixels; None keeps those of the files.
+        workers: how many files are read at a time.
+        meta: entries for meta.json.
+
+    Raises:
+        UserError: see `layout` and `read_frame`; frames of unequal sizes.
+    """
+    found = layout(source)
+    with writing(target, {"labelled": False, **meta}) as writer, ThreadPoolExecutor(workers) as pool:
+        shape = None
+        for first, last in found.episodes:
+            for start in range(first, last + 1, BATCH):
+                paths = [found.path(number) for number in range(start, min(start + BATCH, last + 1))]
+                rows = list(pool.map(partial(read_frame, size=size), paths))
+                shape = shape or rows[0]["frames"].shape
+                for path, row in zip(paths, rows, strict=True):
+                    if row["frames"].shape != shape:
+                        raise UserError(f"{path}: a frame of shape {row['frames'].shape}, those before have {shape}")
+                segment_starts = np.zeros(len(rows))
+                segment_starts[0] = start == first
+                columns = {key: np.stack([row[key] for row in rows]) for key in ("frames", *STATE_SIZES)}
+                columns["tasks"] = np.zeros((len(rows), len(tasks.NAMES)))
+                writer.append({**columns, "segment_starts": segment_starts})
+            writer.end_episode()
+
+
+def export(play: RawPlay, folder: Path) -> None:
+    """Write play in CALVIN's layout, atomically. Tasks and segments have no place there and are left out."""
+    with replacing(folder) as temporary:
+        temporary.mkdir()
+        steps = int(play.episode_ends[-1])
+        for i in range(steps):
+            states = {key: getattr(play, key)[i].astype(np.float64) for key in STATE_SIZES}
+            arrays: dict[str, Any] = {FRAME_KEY: np.asarray(play.frames[i]), **states}
+            np.savez_compressed(temporary / f"episode_{i:0{DIGITS}d}.npz", **arrays)
+        bounds = np.array([(rows.start, rows.stop - 1) for rows in play.episodes()], dtype=np.int64)
+        write_npy(temporary / "ep_start_end_ids.npy", bounds)
+        write_npy(temporary / "ep_lens.npy", bounds[:, 1] - bounds[:, 0] + 1)

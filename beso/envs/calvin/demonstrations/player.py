@@ -1,0 +1,124 @@
+"""Scripted play: one skill after another on the same table, without resets."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from beso.envs.calvin.demonstrations.block_skills import drop_in_mid_air
+from beso.envs.calvin.demonstrations.hand import YAW, Hand, Manner, Motion
+from beso.envs.calvin.demonstrations.layout import IN_SLIDER, LOST, ON_TABLE, graspable, place_of
+from beso.envs.calvin.demonstrations.placing_skills import carry_clear
+from beso.envs.calvin.demonstrations.repertoire import Skill, with_block, with_free_hand
+from beso.envs.calvin.observations import BLOCKS, FIXTURES, SLIDE, block_slice
+from beso.envs.calvin.simulator.play_table import PlayTable
+from beso.envs.calvin.simulator.spawn import draw_fixtures, draw_scene
+from beso.envs.calvin.simulator.table import SLIDE_TRAVEL
+from beso.envs.calvin.state import ROBOT
+
+DETOUR_SHARE, PAUSE_SHARE = 0.2, 0.15  # of the gaps between skills
+DETOUR_LOW, DETOUR_HIGH = np.array([-0.15, -0.32, 0.58]), np.array([0.25, -0.15, 0.68])  # tcp, metres
+BALANCE = 2.0  # a family played once more than another is this many times less likely to come next
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of play with one aim; tasks are judged against the table's state at its beginning."""
+
+    family: str
+    motion: Motion
+
+
+class Player:
+    """Chooses what to do next on a table and does it in ever new manners.
+
+    Families of skills are chosen about equally often, as far as the table's state allows. Left to equal chances among
+    what is possible, blocks would gather in drawer and cabinet, and play would be nothing but fixtures.
+
+    Args:
+        table: the table, already reset, which someone else steps.
+        rng: source of all choices.
+    """
+
+    def __init__(self, table: PlayTable, rng: np.random.Generator) -> None:
+        self.table, self.rng = table, rng
+        self.hand = Hand(table, rng)
+        self._held: int | None = None
+        self._families: Counter[str] = Counter()
+        self._variants: Counter[str] = Counter()
+
+    def next_segment(self) -> Segment:
+        """What to do now; to be called when the last segment's motion has ended."""
+        self.hand.manner = Manner.draw(self.rng)
+        if self._held is not None and not self._holds(self._held):
+            self._held = None
+            return Segment("recover", drop_in_mid_air(self.hand))
+        if self.rng.random() < DETOUR_SHARE:
+            return Segment("detour", self._detour())
+        if self.rng.random() < PAUSE_SHARE:
+            return Segment("pause", self.hand.wait(int(self.rng.integers(3, 12))))
+        skills = self._possible()
+        if not skills:  # a block hangs in the gripper, and there is no room for it anywhere
+            self._held = None
+            return Segment("recover", drop_in_mid_air(self.hand))
+        skill = self._choose(skills)
+        self._held = skill.held
+        return Segment(skill.family, skill.motion(self.hand))
+
+    def _possible(self) -> list[Skill]:
+        scene = self.table.scene_obs()
+        if self._held is None:
+            return with_free_hand(scene, self.rng)
+        return with_block(scene, self._held, self.rng)
+
+    def _choose(self, skills: list[Skill]) -> Skill:
+        family = self._draw(sorted({skill.family for skill in skills}), self._families)
+        members = {f"{family} {skill.variant}": skill for skill in skills if skill.family == family}
+        return members[self._draw(sorted(members), self._variants)]
+
+    def _draw(self, names: Sequence[str], counts: Counter[str]) -> str:
+        """One of the names, rather one that came seldom; it is counted."""
+        weights = np.array([BALANCE ** -float(counts[name]) for name in names])
+        name = names[self.rng.choice(len(names), p=weights / weights.sum())]
+        counts[name] += 1
+        return name
+
+    def _holds(self, block: int) -> bool:
+        return self.table.state().blocks[BLOCKS[block]].touched == {ROBOT}
+
+    def _detour(self) -> Motion:
+        """Wander to some place above the table."""
+        yaw, tilt = self.hand.yaw, self.hand.tilt
+        place = self.rng.uniform(DETOUR_LOW, DETOUR_HIGH)
+        if self._held is None:
+            yield from self.hand.rise()
+            yield from self.hand.go(place, yaw=YAW + self.rng.uniform(-0.5, 0.5), tolerance=0.03)
+        else:
+            yield from carry_clear(self.hand)
+            yield from self.hand.go(place, yaw=yaw, tilt=tilt, tolerance=0.03)
+
+
+def draw_start(rng: np.random.Generator) -> np.ndarray:
+    """A scene_obs (24,) to start play from: CALVIN's rule, fixtures at random.
+
+    Scenes without a block on the table are left out, and those with a block in the cabinet that could never be grasped.
+    """
+    while True:
+        scene = draw_scene(rng, draw_fixtures(rng))
+        places = [place_of(scene, block) for block in range(len(BLOCKS))]
+        stuck = any(place == IN_SLIDER and not _graspable_once_open(scene, b) for b, place in enumerate(places))
+        if ON_TABLE in places and not stuck:
+            return scene
+
+
+def _graspable_once_open(scene: np.ndarray, block: int) -> bool:
+    opened = scene.copy()
+    opened[FIXTURES][SLIDE] = 0.0 if scene[block_slice(block)][0] < -0.1 else SLIDE_TRAVEL
+    return graspable(opened, block)
+
+
+def block_lost(table: PlayTable) -> bool:
+    """Whether a block fell off the table."""
+    scene = table.scene_obs()
+    return any(place_of(scene, block) == LOST for block in range(len(BLOCKS)))
