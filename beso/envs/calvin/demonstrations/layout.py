@@ -18,7 +18,7 @@ REACH: Final = 0.74  # m from the arm's base, seen from above, at the height fro
 TABLE_LOW, TABLE_HIGH = np.array([0.0, -0.15]), np.array([0.30, -0.05])  # where blocks are put down, centres
 ROOM: Final = 0.085  # m between the centres of blocks that leaves room for a finger
 HANDLE_ROOM: Final = (0.15, -0.07)  # |dx| from the door's handle, and y beyond which an upright hand meets it
-DRAWER_REACH: Final = (0.04, 0.32, -0.21)  # x from, x to, y before which the fingers clear the table's edge
+DRAWER_REACH: Final = (0.06, 0.31, -0.21)  # x from, x to, y before which the fingers clear the table's edge
 
 
 def place_of(scene: np.ndarray, block: int) -> str:
@@ -81,15 +81,15 @@ def graspable(scene: np.ndarray, block: int) -> bool:
     if place == IN_DRAWER:
         left, right, front = DRAWER_REACH
         return left < x < right and y < front and scene[DRAWER] > 0.15
-    return in_reach(x, y) and (place == ON_BLOCK or clear_of_handle(scene, block))
+    return in_reach(x, y) and clear_of_handle(scene, block)
 
 
 def compartment_open(scene: np.ndarray, x: float) -> bool:
     """Whether the door leaves the cabinet open at x, with room for the hand."""
     slide = scene[SLIDE]
     if slide < 0.03:
-        return -0.34 < x < -0.16
-    return bool(slide > SLIDE_TRAVEL - 0.03 and 0.0 < x < 0.14)
+        return -0.33 < x < -0.2
+    return bool(slide > SLIDE_TRAVEL - 0.03 and 0.0 < x < 0.13)
 
 
 def can_push(scene: np.ndarray, block: int, side: int, distance: float) -> bool:
@@ -115,7 +115,7 @@ def can_push_into_drawer(scene: np.ndarray, block: int) -> bool:
     return bool(
         place_of(scene, block) == ON_TABLE
         and scene[DRAWER] > 0.16
-        and 0.04 < x < 0.30
+        and 0.07 < x < 0.30
         and y < -0.055
         and (y < -0.1 or clear_of_handle(scene, block))
         and all(

@@ -20,6 +20,8 @@ from beso.envs.calvin.state import ROBOT
 DETOUR_SHARE, PAUSE_SHARE = 0.2, 0.15  # of the gaps between skills
 DETOUR_LOW, DETOUR_HIGH = np.array([-0.15, -0.32, 0.58]), np.array([0.25, -0.15, 0.68])  # tcp, metres
 BALANCE = 2.0  # a family played once more than another is this many times less likely to come next
+SHARES = {"push": 2.0, "rotate": 2.0}  # of families; these two have six tasks each, others two or three
+FAILURE = 2  # a failed grasp counts as so many more
 
 
 @dataclass(frozen=True)
@@ -47,12 +49,16 @@ class Player:
         self._held: int | None = None
         self._families: Counter[str] = Counter()
         self._variants: Counter[str] = Counter()
+        self._last: tuple[str, str] = ("", "")  # family and variant chosen last
 
     def next_segment(self) -> Segment:
         """What to do now; to be called when the last segment's motion has ended."""
         self.hand.manner = Manner.draw(self.rng)
         if self._held is not None and not self._holds(self._held):
             self._held = None
+            family, variant = self._last
+            self._families[family] += FAILURE
+            self._variants[variant] += FAILURE
             return Segment("recover", drop_in_mid_air(self.hand))
         if self.rng.random() < DETOUR_SHARE:
             return Segment("detour", self._detour())
@@ -75,11 +81,13 @@ class Player:
     def _choose(self, skills: list[Skill]) -> Skill:
         family = self._draw(sorted({skill.family for skill in skills}), self._families)
         members = {f"{family} {skill.variant}": skill for skill in skills if skill.family == family}
-        return members[self._draw(sorted(members), self._variants)]
+        variant = self._draw(sorted(members), self._variants)
+        self._last = family, variant
+        return members[variant]
 
     def _draw(self, names: Sequence[str], counts: Counter[str]) -> str:
         """One of the names, rather one that came seldom; it is counted."""
-        weights = np.array([BALANCE ** -float(counts[name]) for name in names])
+        weights = np.array([BALANCE ** (-counts[name] / SHARES.get(name, 1.0)) for name in names])
         name = names[self.rng.choice(len(names), p=weights / weights.sum())]
         counts[name] += 1
         return name

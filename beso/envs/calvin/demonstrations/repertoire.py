@@ -24,7 +24,7 @@ from beso.envs.calvin.demonstrations.layout import (
     others,
     place_of,
 )
-from beso.envs.calvin.observations import BLOCKS, DRAWER, LED, SLIDE, SWITCH, block_slice
+from beso.envs.calvin.observations import BLOCKS, DRAWER, LED, LIGHTBULB, SLIDE, SWITCH, block_slice
 from beso.envs.calvin.simulator.table import SLIDE_TRAVEL, SWITCH_TRAVEL
 
 PARTIAL_SHARE = 0.15  # of the movements of drawer, door and blocks that stop halfway and complete no task
@@ -38,12 +38,14 @@ class Skill:
         family: kind of skill; families are balanced.
         variant: which block, direction, ...; variants are balanced within a family.
         motion: makes its actions.
+        task: the task that it completes if it succeeds; None for those that complete none.
         held: the block that hangs in the gripper if it succeeds.
     """
 
     family: str
     variant: str
     motion: Callable[[Hand], Motion]
+    task: str | None
     held: int | None = None
 
 
@@ -56,44 +58,59 @@ def with_free_hand(scene: np.ndarray, rng: np.random.Generator) -> list[Skill]:
 
 
 def _on_fixtures(scene: np.ndarray, rng: np.random.Generator) -> Iterator[Skill]:
-    amount = rng.uniform(0.05, 0.11) if rng.random() < PARTIAL_SHARE else rng.uniform(0.17, 0.25)
+    part = bool(rng.random() < PARTIAL_SHARE)
+    amount = rng.uniform(0.05, 0.11) if part else rng.uniform(0.17, 0.25)
     if scene[DRAWER] < 0.13:
-        yield Skill("drawer", "open", partial(fixture_skills.open_drawer, amount=amount))
+        whole = None if part or scene[DRAWER] > 0.08 else "open_drawer"
+        yield Skill("drawer", "open", partial(fixture_skills.open_drawer, amount=amount), whole)
     if scene[DRAWER] > 0.06:
-        yield Skill("drawer", "close", partial(fixture_skills.close_drawer, amount=amount))
-    amount = rng.uniform(0.06, 0.13) if rng.random() < PARTIAL_SHARE else SLIDE_TRAVEL
+        whole = None if part or scene[DRAWER] < 0.14 else "close_drawer"
+        yield Skill("drawer", "close", partial(fixture_skills.close_drawer, amount=amount), whole)
+    part = bool(rng.random() < PARTIAL_SHARE)
+    amount = rng.uniform(0.06, 0.13) if part else SLIDE_TRAVEL
     if scene[SLIDE] < 0.18:
-        yield Skill("slider", "left", partial(fixture_skills.move_slider, left=True, amount=amount))
+        whole = None if part or scene[SLIDE] > 0.11 else "move_slider_left"
+        yield Skill("slider", "left", partial(fixture_skills.move_slider, left=True, amount=amount), whole)
     if scene[SLIDE] > 0.10:
-        yield Skill("slider", "right", partial(fixture_skills.move_slider, left=False, amount=amount))
-    yield Skill("button", "off" if scene[LED] else "on", fixture_skills.press_button)
+        whole = None if part or scene[SLIDE] < 0.17 else "move_slider_right"
+        yield Skill("slider", "right", partial(fixture_skills.move_slider, left=False, amount=amount), whole)
+    way = "off" if scene[LED] else "on"
+    yield Skill("button", way, fixture_skills.press_button, f"turn_{way}_led")
     on = bool(scene[SWITCH] < SWITCH_TRAVEL / 2)
-    yield Skill("switch", "on" if on else "off", partial(fixture_skills.move_switch, on=on))
+    way = "on" if on else "off"
+    # A lightbulb that disagrees with its switch stays as it is.
+    task = f"turn_{way}_lightbulb" if on is not bool(scene[LIGHTBULB]) else None
+    yield Skill("switch", way, partial(fixture_skills.move_switch, on=on), task)
 
 
 def _with_block(scene: np.ndarray, block: int, rng: np.random.Generator) -> Iterator[Skill]:
     name, place = BLOCKS[block], place_of(scene, block)
-    distance = rng.uniform(0.04, 0.09) if rng.random() < PARTIAL_SHARE else rng.uniform(0.115, 0.15)
-    for right in (False, True):
-        if can_push(scene, block, 1 if right else -1, distance):
-            push = partial(block_skills.push, block=block, right=right, distance=distance)
-            yield Skill("push", f"{name} {right}", push)
+    colour = name.removeprefix("block_")
+    part = bool(rng.random() < PARTIAL_SHARE)
+    distance = rng.uniform(0.04, 0.09) if part else rng.uniform(0.115, 0.15)
+    for way, side in (("left", -1), ("right", 1)):
+        if can_push(scene, block, side, distance):
+            push = partial(block_skills.push, block=block, right=side > 0, distance=distance)
+            yield Skill("push", f"{name} {way}", push, None if part else f"push_{colour}_block_{way}")
     if can_push_into_drawer(scene, block):
-        yield Skill("push_into_drawer", name, partial(block_skills.push_into_drawer, block=block))
+        push = partial(block_skills.push_into_drawer, block=block)
+        yield Skill("push_into_drawer", name, push, "push_into_drawer")
     if not graspable(scene, block):
         return
-    if place == ON_TABLE:
-        if clear_of_handle(scene, block):
-            for left in (False, True):
-                rotate = partial(block_skills.rotate, block=block, left=left, degrees=rng.uniform(70, 88))
-                yield Skill("rotate", f"{name} {left}", rotate)
-        yield Skill("lift_table", name, partial(block_skills.lift, block=block), held=block)
-    elif place == ON_BLOCK and below(scene, block) is not None:
-        yield Skill("unstack", name, partial(block_skills.lift, block=block), held=block)
-    elif place == IN_SLIDER:
-        yield Skill("lift_slider", name, partial(block_skills.lift_from_slider, block=block), held=block)
-    elif place == IN_DRAWER:
-        yield Skill("lift_drawer", name, partial(block_skills.lift_from_drawer, block=block), held=block)
+    if place == ON_TABLE and clear_of_handle(scene, block):
+        for way in ("left", "right"):
+            turn = partial(block_skills.rotate, block=block, left=way == "left", degrees=rng.uniform(70, 88))
+            yield Skill("rotate", f"{name} {way}", turn, f"rotate_{colour}_block_{way}")
+    if place == ON_BLOCK:
+        if below(scene, block) is not None:
+            yield Skill("unstack", name, partial(block_skills.lift, block=block), "unstack_block", held=block)
+        return
+    lift = {
+        ON_TABLE: block_skills.lift,
+        IN_SLIDER: block_skills.lift_from_slider,
+        IN_DRAWER: block_skills.lift_from_drawer,
+    }[place]
+    yield Skill(f"lift_{place}", name, partial(lift, block=block), f"lift_{colour}_block_{place}", held=block)
 
 
 def with_block(scene: np.ndarray, held: int, rng: np.random.Generator) -> list[Skill]:
@@ -102,20 +119,22 @@ def with_block(scene: np.ndarray, held: int, rng: np.random.Generator) -> list[S
     skills = []
     spot = free_spot(scene, held, rng)
     if spot is not None:
-        skills.append(Skill("put_on_table", name, partial(placing_skills.put_on_table, x=spot[0], y=spot[1])))
+        put = partial(placing_skills.put_on_table, x=spot[0], y=spot[1])
+        skills.append(Skill("put_on_table", name, put, None))
     places = [place_of(scene, other) for other in others(held)]
     compartment = placing_skills.open_compartment(scene[SLIDE])
-    in_the_way = [
+    in_the_way = any(
         place == IN_SLIDER and abs(scene[block_slice(other)][0] - compartment) < 0.1
         for other, place in zip(others(held), places, strict=True)
-    ]
-    if min(scene[SLIDE], SLIDE_TRAVEL - scene[SLIDE]) < 0.03 and not any(in_the_way):
-        skills.append(Skill("place_in_slider", name, placing_skills.place_in_slider))
+    )
+    if min(scene[SLIDE], SLIDE_TRAVEL - scene[SLIDE]) < 0.03 and not in_the_way:
+        skills.append(Skill("place_in_slider", name, placing_skills.place_in_slider, "place_in_slider"))
     if scene[DRAWER] > 0.16 and IN_DRAWER not in places:
-        x = rng.uniform(0.1, 0.25)
-        skills.append(Skill("place_in_drawer", name, partial(placing_skills.place_in_drawer, x=x)))
+        put = partial(placing_skills.place_in_drawer, x=rng.uniform(0.1, 0.25))
+        skills.append(Skill("place_in_drawer", name, put, "place_in_drawer"))
     for other, place in zip(others(held), places, strict=True):
         x, y = scene[block_slice(other)][:2]
         if place == ON_TABLE and free(scene, other) and clear_of_handle(scene, other) and in_reach(x, y):
-            skills.append(Skill("stack", f"{name} {BLOCKS[other]}", partial(placing_skills.stack, below=other)))
+            put = partial(placing_skills.stack, below=other)
+            skills.append(Skill("stack", f"{name} {BLOCKS[other]}", put, "stack_block"))
     return skills
