@@ -18,6 +18,7 @@ REACH: Final = 0.74  # m from the arm's base, seen from above, at the height fro
 TABLE_LOW, TABLE_HIGH = np.array([0.0, -0.15]), np.array([0.30, -0.05])  # where blocks are put down, centres
 ROOM: Final = 0.085  # m between the centres of blocks that leaves room for a finger
 HANDLE_ROOM: Final = (0.15, -0.07)  # |dx| from the door's handle, and y beyond which an upright hand meets it
+SLIDER_TURN: Final = 0.55  # rad; a hand turned further meets door or wall
 DRAWER_REACH: Final = (0.06, 0.31, -0.21)  # x from, x to, y before which the fingers clear the table's edge
 
 
@@ -77,11 +78,11 @@ def graspable(scene: np.ndarray, block: int) -> bool:
     if place == LOST or not free(scene, block):
         return False
     if place == IN_SLIDER:
-        return compartment_open(scene, x) and abs(slider_grasp_yaw(block, yaw) - YAW) < 0.7
+        return compartment_open(scene, x) and abs(slider_grasp_yaw(block, yaw) - YAW) < SLIDER_TURN
     if place == IN_DRAWER:
         left, right, front = DRAWER_REACH
         return left < x < right and y < front and scene[DRAWER] > 0.15
-    return in_reach(x, y) and clear_of_handle(scene, block)
+    return y < 0.02 and in_reach(x, y) and clear_of_handle(scene, block)
 
 
 def compartment_open(scene: np.ndarray, x: float) -> bool:

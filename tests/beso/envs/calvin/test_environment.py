@@ -1,0 +1,54 @@
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import beso.envs.calvin.simulator  # noqa: F401 (registers the environment)
+from beso.envs.calvin.simulator import CalvinEnv
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = CalvinEnv(size=48)
+    yield env
+    env.close()
+
+
+def test_passes_gymnasiums_checker():
+    env = gymnasium.make("beso/Calvin-v0", render_mode="rgb_array").unwrapped
+    assert env.observation_space.shape == (112, 112, 3)
+    check_env(env)
+    env.close()
+
+
+def test_observations_are_pictures_and_info_tells_the_state(env):
+    observation, info = env.reset(seed=0)
+    assert observation.dtype == np.uint8
+    assert observation.shape == (48, 48, 3)
+    assert set(info) == {"robot_obs", "scene_obs", "state"}
+    assert info["scene_obs"][:6] == pytest.approx(np.zeros(6), abs=1e-3)
+    _, reward, terminated, truncated, after = env.step(np.array([1, 0, 0, 0, 0, 0, 1], dtype=np.float32))
+    assert (reward, terminated, truncated) == (0.0, False, False)
+    assert after["robot_obs"][0] > info["robot_obs"][0]
+
+
+def test_reset_to_a_given_state_with_a_goal(env, scene):
+    scene[1] = 0.15
+    goal = np.zeros((1, 48, 48, 3), dtype=np.uint8)
+    _, info = env.reset(options={"scene_obs": scene, "goal": goal})
+    assert info["scene_obs"] == pytest.approx(scene, abs=1e-3)
+    assert info["goal"] is goal
+
+
+def test_same_seed_same_episode(env):
+    first, _ = env.reset(seed=3)
+    env.reset(seed=4)
+    second, _ = env.reset(seed=3)
+    assert first.tobytes() == second.tobytes()
+
+
+def test_rendering_needs_a_mode(env):
+    env.reset(seed=0)
+    assert env.render() is None
+    with pytest.raises(ValueError, match="'human' is not one of"):
+        CalvinEnv(render_mode="human")
