@@ -59,10 +59,6 @@ ENVIRONMENT = {
             observations, actions = (np.array(part, dtype=np.float32) for part in zip(*rows))
             return Episode(observations, actions, np.zeros((30, 1), dtype=np.uint8), failed_takes=index % 2)
         """,
-    "demonstrations/published.py": """
-        def load(folder):
-            raise NotImplementedError
-        """,
     "evaluation.py": """
         from beso.envs.protocol import demonstration_trials, identity
         from beso.envs.toy.simulator import ToyEnv
