@@ -1,19 +1,17 @@
 """Scripted skills on blocks where they stand: push, rotate, lift, push into the drawer."""
 
 import math
+from functools import partial
 from typing import Final
 
 import numpy as np
 
-from beso.envs.calvin.demonstrations.hand import DOWN, SAFE_HEIGHT, YAW, Hand, Motion
-from beso.envs.calvin.observations import BLOCKS, CLOSE, OPEN
-from beso.envs.calvin.simulator.table import BLOCK_SIZES
+from beso.envs.calvin.demonstrations.grasps import LEANING, Grasp, find_grasp, grasp_yaw
+from beso.envs.calvin.demonstrations.hand import SAFE_HEIGHT, YAW, Hand, Motion
+from beso.envs.calvin.demonstrations.layout import BEHIND
+from beso.envs.calvin.observations import CLOSE, OPEN
 
 PUSH_HEIGHT: Final = 0.462  # m, of the finger tips beside a block
-BEHIND: Final = 0.075  # m from a block's centre to where a push starts
-WIDEST_GRASP: Final = 0.065  # m; the gripper opens to 0.08
-# Fingers that point away under the cabinet's top; a hand that points down would need 0.1 m of room on either side.
-SLIDER_TILT: Final = (DOWN[0], -0.5)
 SLIDER_FRONT: Final = (-0.06, 0.60)  # y and z before the cabinet, from where its floor is reached over the edge
 
 
@@ -46,62 +44,57 @@ def push_into_drawer(hand: Hand, block: int) -> Motion:
     yield from hand.rise(0.56)
 
 
-def grasp_yaw(yaw: float, near: float = YAW, quarter: bool = False) -> float:
-    """The yaw of the hand, nearest to `near`, at which its fingers close on a block of this yaw, radians.
-
-    The fingers close on the block's short sides, or with `quarter` on either pair of sides.
-    """
-    turns = 4 if quarter else 2
-    return near + math.remainder(turns * (yaw - near), 2 * math.pi) / turns
-
-
-def slider_grasp_yaw(block: int, yaw: float) -> float:
-    """The same in the cabinet, where the hand has room along x alone: blocks that fit are gripped by either sides."""
-    return grasp_yaw(yaw, quarter=BLOCK_SIZES[BLOCKS[block]][0] < WIDEST_GRASP)
-
-
-def grasp(hand: Hand, block: int, yaw: float, tilt: tuple[float, float] = DOWN) -> Motion:
+def take(hand: Hand, block: int, grasp: Grasp) -> Motion:
     """Close the fingers about a block."""
     x, y, z = hand.block(block)[:3]
     hand.grip = OPEN
-    # A tilted hand comes and goes along its own axis.
-    back = np.array([0.0, math.tan(tilt[1]), 1.0]) * (0.08 + hand.manner.height)
-    yield from hand.go((x, y, z) + back, yaw=yaw, tilt=tilt, tolerance=0.015)
-    yield from hand.go((x, y, z), yaw=yaw, tilt=tilt, tolerance=0.008, limit=40)
+    go = partial(hand.go, yaw=grasp.yaw, tilt=grasp.tilt)
+    # A leaning hand comes along its own axis.
+    back = np.array([0.0, math.tan(grasp.tilt[1]), 1.0]) * (0.08 + hand.manner.height)
+    yield from go((x, y, z) + back, tolerance=0.015)
+    yield from go((x, y, z), tolerance=0.008, limit=40)
     yield from hand.close()
 
 
 def lift(hand: Hand, block: int, height: float = 0.1) -> Motion:
-    """Grasp a block that stands free above and raise it by `height`, metres."""
-    yield from grasp(hand, block, grasp_yaw(hand.block(block)[5]))
+    """Grasp a block that stands on the table, on another block or in the drawer, and raise it by `height`, metres."""
+    scene = hand.table.scene_obs()
+    yield from take(hand, block, find_grasp(scene, block) or Grasp(grasp_yaw(hand.block(block)[5])))
     x, y, z = hand.position
-    yield from hand.go((x, y, z + height), yaw=hand.yaw, speed=0.5)
+    yield from hand.go((x, y, z + height), yaw=hand.yaw, tilt=hand.tilt, speed=0.5)
 
 
 def lift_from_slider(hand: Hand, block: int) -> Motion:
     """Lift a block from the cabinet's floor; the hand comes and goes through the opening in front."""
     y, z = SLIDER_FRONT
-    yaw = slider_grasp_yaw(block, hand.block(block)[5])
+    grasp = find_grasp(hand.table.scene_obs(), block) or Grasp(grasp_yaw(hand.block(block)[5]), LEANING)
+    go = partial(hand.go, yaw=grasp.yaw, tilt=grasp.tilt)
     hand.grip = OPEN
     yield from hand.rise()
-    yield from hand.go((hand.block(block)[0], y, z), yaw=yaw, tilt=SLIDER_TILT, tolerance=0.03)
-    yield from grasp(hand, block, yaw, SLIDER_TILT)
+    yield from go((hand.block(block)[0], y, z), tolerance=0.03)
+    yield from take(hand, block, grasp)
     x, y, z = hand.position
-    yield from hand.go((x, y - 0.03, z + 0.07), yaw=yaw, tilt=SLIDER_TILT, speed=0.5)
+    yield from go((x, y - 0.03, z + 0.07), speed=0.5)
 
 
 def lift_from_drawer(hand: Hand, block: int) -> Motion:
     """Lift a block out of the drawer."""
     hand.grip = OPEN
     yield from hand.rise()
-    yield from lift(hand, block, 0.16)
+    scene = hand.table.scene_obs()
+    grasp = find_grasp(scene, block) or Grasp(grasp_yaw(hand.block(block)[5]))
+    yield from take(hand, block, grasp)
+    x, y, z = hand.position
+    if grasp.tilt == LEANING:
+        yield from hand.go((x, y - 0.04, z + 0.07), yaw=hand.yaw, tilt=hand.tilt, speed=0.5)
+    yield from hand.go((x, y - 0.04, z + 0.16), yaw=hand.yaw, tilt=hand.tilt, speed=0.5)
 
 
 def rotate(hand: Hand, block: int, left: bool, degrees: float = 80.0) -> Motion:
     """Grasp a block, turn it about z while it hovers just above the table, and put it down again."""
     side = 1 if left else -1
     near = YAW - 0.6 * side  # leaves room to turn before the wrist's limit
-    yield from grasp(hand, block, grasp_yaw(hand.block(block)[5], near))
+    yield from take(hand, block, Grasp(grasp_yaw(hand.block(block)[5], near)))
     yaw = hand.yaw
     turned = yaw + side * np.deg2rad(degrees)
     x, y, z = hand.position

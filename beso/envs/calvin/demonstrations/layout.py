@@ -5,9 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from beso.envs.calvin.demonstrations.block_skills import BEHIND, slider_grasp_yaw
 from beso.envs.calvin.demonstrations.fixture_skills import BUTTON_TOP, slide_handle
-from beso.envs.calvin.demonstrations.hand import YAW
 from beso.envs.calvin.observations import BLOCKS, DRAWER, SLIDE, block_slice
 from beso.envs.calvin.simulator.arm import BASE_POSITION
 from beso.envs.calvin.simulator.table import SLIDE_TRAVEL
@@ -16,10 +14,9 @@ ON_TABLE, ON_BLOCK, IN_SLIDER, IN_DRAWER, LOST = "table", "block", "slider", "dr
 
 REACH: Final = 0.74  # m from the arm's base, seen from above, at the height from which blocks are grasped
 TABLE_LOW, TABLE_HIGH = np.array([0.0, -0.15]), np.array([0.30, -0.05])  # where blocks are put down, centres
-ROOM: Final = 0.085  # m between the centres of blocks that leaves room for a finger
+BEHIND: Final = 0.075  # m from a block's centre to where a push starts
+TURNING_ROOM: Final = 0.085  # m between the centres of a block that is turned and of another
 HANDLE_ROOM: Final = (0.15, -0.07)  # |dx| from the door's handle, and y beyond which an upright hand meets it
-SLIDER_TURN: Final = 0.55  # rad; a hand turned further meets door or wall
-DRAWER_REACH: Final = (0.06, 0.31, -0.21)  # x from, x to, y before which the fingers clear the table's edge
 
 
 def place_of(scene: np.ndarray, block: int) -> str:
@@ -50,12 +47,17 @@ def in_reach(x: float, y: float) -> bool:
     return math.hypot(x - BASE_POSITION[0], y - BASE_POSITION[1]) < REACH
 
 
-def free(scene: np.ndarray, block: int) -> bool:
-    """Whether no other block stands so near that a finger has no room; blocks at another level do not matter."""
+def covered(scene: np.ndarray, block: int) -> bool:
+    """Whether another block stands on this one."""
     height = scene[block_slice(block)][2]
-    return all(
-        distance(scene, block, other) > ROOM or scene[block_slice(other)][2] < height - 0.03 for other in others(block)
+    return any(
+        distance(scene, block, other) < 0.06 and scene[block_slice(other)][2] > height + 0.03 for other in others(block)
     )
+
+
+def free(scene: np.ndarray, block: int) -> bool:
+    """Whether the block can be turned without meeting another one."""
+    return all(distance(scene, block, other) > TURNING_ROOM for other in others(block))
 
 
 def below(scene: np.ndarray, block: int) -> int | None:
@@ -71,25 +73,11 @@ def clear_of_handle(scene: np.ndarray, block: int) -> bool:
     return y < front or abs(x - slide_handle(scene[SLIDE])[0]) > across
 
 
-def graspable(scene: np.ndarray, block: int) -> bool:
-    """Whether the hand can lift a block from where it is."""
-    x, y, _, _, _, yaw = scene[block_slice(block)]
-    place = place_of(scene, block)
-    if place == LOST or not free(scene, block):
-        return False
-    if place == IN_SLIDER:
-        return compartment_open(scene, x) and abs(slider_grasp_yaw(block, yaw) - YAW) < SLIDER_TURN
-    if place == IN_DRAWER:
-        left, right, front = DRAWER_REACH
-        return left < x < right and y < front and scene[DRAWER] > 0.15
-    return y < 0.02 and in_reach(x, y) and clear_of_handle(scene, block)
-
-
 def compartment_open(scene: np.ndarray, x: float) -> bool:
     """Whether the door leaves the cabinet open at x, with room for the hand."""
     slide = scene[SLIDE]
     if slide < 0.03:
-        return -0.33 < x < -0.2
+        return -0.28 < x < -0.2
     return bool(slide > SLIDE_TRAVEL - 0.03 and 0.0 < x < 0.13)
 
 
@@ -97,15 +85,16 @@ def can_push(scene: np.ndarray, block: int, side: int, distance: float) -> bool:
     """Whether the hand fits behind a block and nothing stands in the way; `side` is the sign of the push along x."""
     x, y = scene[block_slice(block)][:2]
     start, end = x - side * BEHIND, x + side * distance
-    if place_of(scene, block) != ON_TABLE or not TABLE_LOW[0] - 0.04 <= end <= TABLE_HIGH[0] + 0.05 or y > 0:
+    if place_of(scene, block) != ON_TABLE or end < TABLE_LOW[0] - 0.04 or not in_reach(end, y) or y > 0:
         return False
     if not in_reach(start, y) or (abs(start - slide_handle(scene[SLIDE])[0]) < 0.1 and y > HANDLE_ROOM[1]):
         return False
     if math.hypot(start - BUTTON_TOP[0], y - BUTTON_TOP[1]) < 0.07:
         return False
-    low, high = min(start, end) - 0.05, max(start, end) + 0.05
+    stop = end + side * 0.09  # half a block beyond the pushed one, half the other's
+    low, high = sorted((start - side * 0.05, stop))
     return all(
-        abs(scene[block_slice(other)][1] - y) > 0.075 or not low < scene[block_slice(other)][0] < high
+        abs(scene[block_slice(other)][1] - y) > 0.085 or not low < scene[block_slice(other)][0] < high
         for other in others(block)
     )
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from beso.envs.calvin.demonstrations.block_skills import drop_in_mid_air
+from beso.envs.calvin.demonstrations.grasps import find_grasp
 from beso.envs.calvin.demonstrations.hand import YAW, Hand, Manner, Motion
-from beso.envs.calvin.demonstrations.layout import IN_SLIDER, LOST, ON_TABLE, graspable, place_of
+from beso.envs.calvin.demonstrations.layout import LOST, ON_TABLE, place_of
 from beso.envs.calvin.demonstrations.placing_skills import carry_clear
 from beso.envs.calvin.demonstrations.repertoire import Skill, with_block, with_free_hand
 from beso.envs.calvin.observations import BLOCKS, FIXTURES, SLIDE, block_slice
@@ -20,7 +21,7 @@ from beso.envs.calvin.state import ROBOT
 DETOUR_SHARE, PAUSE_SHARE = 0.2, 0.15  # of the gaps between skills
 DETOUR_LOW, DETOUR_HIGH = np.array([-0.15, -0.32, 0.58]), np.array([0.25, -0.15, 0.68])  # tcp, metres
 BALANCE = 2.0  # a family played once more than another is this many times less likely to come next
-SHARES = {"push": 2.0, "rotate": 2.0}  # of families; these two have six tasks each, others two or three
+SHARES = {"push": 3.0, "rotate": 2.0}  # of families; these have six tasks each, and blocks can seldom be pushed
 FAILURE = 2  # a failed grasp counts as so many more
 
 
@@ -110,20 +111,19 @@ class Player:
 def draw_start(rng: np.random.Generator) -> np.ndarray:
     """A scene_obs (24,) to start play from: CALVIN's rule, fixtures at random.
 
-    Scenes without a block on the table are left out, and those with a block in the cabinet that could never be grasped.
+    Left out are scenes without a block on the table, and with a block that cannot be grasped wherever the door is.
     """
     while True:
         scene = draw_scene(rng, draw_fixtures(rng))
         places = [place_of(scene, block) for block in range(len(BLOCKS))]
-        stuck = any(place == IN_SLIDER and not _graspable_once_open(scene, b) for b, place in enumerate(places))
-        if ON_TABLE in places and not stuck:
+        if ON_TABLE in places and all(_graspable_once_open(scene, block) for block in range(len(BLOCKS))):
             return scene
 
 
 def _graspable_once_open(scene: np.ndarray, block: int) -> bool:
     opened = scene.copy()
     opened[FIXTURES][SLIDE] = 0.0 if scene[block_slice(block)][0] < -0.1 else SLIDE_TRAVEL
-    return graspable(opened, block)
+    return find_grasp(opened, block) is not None
 
 
 def block_lost(table: PlayTable) -> bool:

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from beso.envs.calvin.demonstrations import block_skills, fixture_skills, placing_skills
+from beso.envs.calvin.demonstrations.grasps import find_grasp
 from beso.envs.calvin.demonstrations.hand import Hand, Motion
 from beso.envs.calvin.demonstrations.layout import (
     IN_DRAWER,
@@ -17,9 +18,9 @@ from beso.envs.calvin.demonstrations.layout import (
     can_push,
     can_push_into_drawer,
     clear_of_handle,
+    covered,
     free,
     free_spot,
-    graspable,
     in_reach,
     others,
     place_of,
@@ -95,9 +96,9 @@ def _with_block(scene: np.ndarray, block: int, rng: np.random.Generator) -> Iter
     if can_push_into_drawer(scene, block):
         push = partial(block_skills.push_into_drawer, block=block)
         yield Skill("push_into_drawer", name, push, "push_into_drawer")
-    if not graspable(scene, block):
+    if find_grasp(scene, block) is None:
         return
-    if place == ON_TABLE and clear_of_handle(scene, block):
+    if place == ON_TABLE and clear_of_handle(scene, block) and free(scene, block):
         for way in ("left", "right"):
             turn = partial(block_skills.rotate, block=block, left=way == "left", degrees=rng.uniform(70, 88))
             yield Skill("rotate", f"{name} {way}", turn, f"rotate_{colour}_block_{way}")
@@ -134,7 +135,7 @@ def with_block(scene: np.ndarray, held: int, rng: np.random.Generator) -> list[S
         skills.append(Skill("place_in_drawer", name, put, "place_in_drawer"))
     for other, place in zip(others(held), places, strict=True):
         x, y = scene[block_slice(other)][:2]
-        if place == ON_TABLE and free(scene, other) and clear_of_handle(scene, other) and in_reach(x, y):
+        if place == ON_TABLE and not covered(scene, other) and clear_of_handle(scene, other) and in_reach(x, y):
             put = partial(placing_skills.stack, below=other)
             skills.append(Skill("stack", f"{name} {BLOCKS[other]}", put, "stack_block"))
     return skills
