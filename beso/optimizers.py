@@ -2,8 +2,8 @@
 
 "adam" and "adamw" are the paper's. "muon" (Jordan et al. 2024) replaces the update of every hidden matrix by the
 nearest orthogonal one and leaves the rest to AdamW. The small transformers of the CPU profiles need about a third of
-AdamW's steps with it (docs/fidelity.md). torch.optim.Muon gives the same updates (cosine 0.9999) but computes them in
-bfloat16: as fast where the processor has instructions for that, seconds a step where it has none.
+AdamW's steps with it (docs/fidelity.md). torch.optim.Muon learns as well, but computes in bfloat16: as fast where the
+processor has instructions for that, several times slower where it has none.
 """
 
 import math
