@@ -103,7 +103,7 @@ def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded
         sampling: how it shall generate actions: the method's Sampling, or None for its default.
 
     Raises:
-        UserError: files are missing or damaged, or the sampling does not fit the model.
+        UserError: files are missing or damaged.
     """
     weights_path, description_path = paths(folder, seed)
     description = load_description(folder, seed)

@@ -211,10 +211,15 @@ class Params:
         """The methods of one environment, in the order of the cells."""
         return [cell.method for cell in self.cells.values() if cell.env == env]
 
-    def cell(self, env: str, method: str) -> Cell:
-        """One cell. Raises UserError if params.yaml does not have it."""
+    def environment(self, env: str) -> EnvironmentParams:
+        """One environment's block. Raises UserError if params.yaml does not have it."""
         if env not in self.environments:
             raise UserError(f"environment {env!r} is not in {PATH}: {', '.join(self.environments)} are")
+        return self.environments[env]
+
+    def cell(self, env: str, method: str) -> Cell:
+        """One cell. Raises UserError if params.yaml does not have it."""
+        self.environment(env)
         if f"{env}-{method}" not in self.cells:
             raise UserError(f"{PATH} has no cell {env}-{method}: {', '.join(self.cells)} are there")
         return self.cells[f"{env}-{method}"]

@@ -1,5 +1,6 @@
 """Reading published play data: padded arrays of demonstrations, as .npy or .pth files."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,34 @@ import torch
 
 from beso.data.play import read_npy
 from beso.errors import UserError
+
+
+def padded(
+    folder: Path, files: Mapping[str, str], widths: Mapping[str, int], longest: int, axes: tuple[str, str]
+) -> tuple[dict[str, np.ndarray], dict[str, Path]]:
+    """Arrays of demonstrations padded to one length, and the files that they came from, by name.
+
+    Args:
+        files: stems of the files; "masks" is among them.
+        widths: sizes of the last axis of all others.
+        longest: the largest number of steps.
+        axes: what the first two axes are: "demonstrations" and "steps", in one order or the other.
+
+    Raises:
+        UserError: a file is missing or damaged, or shapes do not fit together.
+    """
+    paths = {name: find(folder, stem) for name, stem in files.items()}
+    arrays = {name: read(path) for name, path in paths.items()}
+    shape, where = arrays["masks"].shape, paths["masks"]
+    if len(shape) != 2:
+        raise UserError(f"{where} has shape {shape}, expected ({', '.join(axes)})")
+    for name, width in widths.items():
+        if arrays[name].shape != (*shape, width):
+            raise UserError(f"{paths[name]} has shape {arrays[name].shape}, expected {(*shape, width)}")
+    steps = shape[axes.index("steps")]
+    if steps > longest:
+        raise UserError(f"{where} has {steps} steps a demonstration, expected at most {longest}")
+    return arrays, paths
 
 
 def find(folder: Path, stem: str) -> Path:

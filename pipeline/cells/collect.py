@@ -5,17 +5,14 @@ from pathlib import Path
 
 from beso import envs
 from beso.data import play
-from beso.errors import UserError
 from pipeline import paths
-from pipeline.params import PATH, Params
+from pipeline.params import Params
 from pipeline.pool import map_jobs
 
 
 def collect(params: Params, environment: str) -> None:
     """Make or import one play dataset and write it."""
-    if environment not in params.environments:
-        raise UserError(f"environment {environment!r} is not in {PATH}: {', '.join(params.environments)} are")
-    settings, spec = params.environments[environment].collect, envs.spec(environment)
+    settings, spec = params.environment(environment).collect, envs.spec(environment)
     if settings.source == "published":
         dataset = envs.importer(environment)(Path(settings.folder or ""))
     else:

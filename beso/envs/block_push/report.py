@@ -5,6 +5,7 @@ import numpy as np
 from beso.data.play import PlayDataset
 from beso.envs.block_push.spec import LONGEST
 from beso.envs.protocol import Metric
+from beso.envs.statistics import sizes
 
 LABEL = "Block-Push"
 GOAL_LABELS = {"training": "training goals", "held_out": "held-out goals"}
@@ -24,15 +25,11 @@ FULL_STEP = 0.03  # m; the speed limit of most of the demonstrator's phases
 
 def statistics(dataset: PlayDataset) -> dict[str, float]:
     """Size, lengths and action statistics."""
-    sizes = np.linalg.norm(dataset.actions, axis=1)
+    lengths = np.linalg.norm(dataset.actions, axis=1)
     return {
-        "demonstrations": len(dataset),
-        "steps": len(dataset.actions),
-        "mean length (steps)": float(dataset.lengths.mean()),
-        "std of length (steps)": float(dataset.lengths.std()),
-        "longest (steps)": int(dataset.lengths.max()),
-        "mean action size (m)": float(sizes.mean()),
-        "share of actions of 0.03 m": float(np.mean(np.abs(sizes - FULL_STEP) < 1e-6)),
+        **sizes(dataset),
+        "mean action size (m)": float(lengths.mean()),
+        "share of actions of 0.03 m": float(np.mean(np.abs(lengths - FULL_STEP) < 1e-6)),
         # A demonstration that succeeds ends before its limit.
         "share ended by success": float((dataset.lengths < LONGEST).mean()),
     }

@@ -4,6 +4,7 @@ import numpy as np
 
 from beso.data.play import PlayDataset
 from beso.envs.protocol import Metric
+from beso.envs.statistics import sizes
 
 LABEL = "Relay Kitchen"
 GOAL_LABELS = {"training": "training goals", "held_out": "held-out goals"}
@@ -16,11 +17,7 @@ def statistics(dataset: PlayDataset) -> dict[str, float]:
     """Size, lengths, actions, and how many different things the demonstrations do."""
     done = [dataset.completed(i) for i in range(len(dataset))]
     return {
-        "demonstrations": len(dataset),
-        "steps": len(dataset.actions),
-        "mean length (steps)": float(dataset.lengths.mean()),
-        "std of length (steps)": float(dataset.lengths.std()),
-        "longest (steps)": int(dataset.lengths.max()),
+        **sizes(dataset),
         "mean action of an entry": float(np.abs(dataset.actions).mean()),
         "share with four tasks": float(np.mean([len(tasks) >= WANTED for tasks in done])),
         "different sets of tasks": len({frozenset(tasks) for tasks in done}),

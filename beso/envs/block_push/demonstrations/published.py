@@ -17,7 +17,6 @@ import numpy as np
 from beso.data.play import Episode, PlayDataset, assemble
 from beso.envs import published
 from beso.envs.block_push.spec import LONGEST, SPEC
-from beso.errors import UserError
 from beso.files import sha256
 
 FILES = {
@@ -26,6 +25,7 @@ FILES = {
     "masks": "multimodal_push_masks",
     "tasks": "onehot_goals",
 }
+WIDTHS = {"observations": SPEC.observation_size, "actions": SPEC.action_size, "tasks": len(SPEC.tasks)}
 
 
 def load(folder: Path) -> PlayDataset:
@@ -35,24 +35,14 @@ def load(folder: Path) -> PlayDataset:
         UserError: a file is missing or damaged, shapes do not fit together, a mask is not a run of ones followed by
             zeros, or a value is not finite.
     """
-    paths = {name: published.find(folder, stem) for name, stem in FILES.items()}
-    arrays = {name: published.read(path) for name, path in paths.items()}
-    masks = arrays["masks"]
-    if masks.ndim != 2:
-        raise UserError(f"{paths['masks']} has shape {masks.shape}, expected (demonstrations, steps)")
-    widths = {"observations": SPEC.observation_size, "actions": SPEC.action_size, "tasks": len(SPEC.tasks)}
-    for name, width in widths.items():
-        if arrays[name].shape != (*masks.shape, width):
-            raise UserError(f"{paths[name]} has shape {arrays[name].shape}, expected {(*masks.shape, width)}")
-    if masks.shape[1] > LONGEST:
-        raise UserError(f"{paths['masks']} has {masks.shape[1]} steps a demonstration, expected at most {LONGEST}")
+    arrays, paths = published.padded(folder, FILES, WIDTHS, LONGEST, ("demonstrations", "steps"))
     episodes = [
         Episode(
             arrays["observations"][i, :length].astype(np.float32),
             arrays["actions"][i, :length].astype(np.float32),
             published.first_entries(arrays["tasks"][i, :length]),
         )
-        for i, length in enumerate(published.lengths(masks, paths["masks"]))
+        for i, length in enumerate(published.lengths(arrays["masks"], paths["masks"]))
     ]
     meta = {"source": "published block push", "files": {path.name: sha256(path) for path in paths.values()}}
     return assemble(episodes, SPEC, meta)

@@ -65,23 +65,14 @@ def load(folder: Path) -> PlayDataset:
 
 
 def _load_relay(folder: Path) -> PlayDataset:
-    paths = {name: published.find(folder, stem) for name, stem in FILES.items()}
-    arrays = {name: published.read(path) for name, path in paths.items()}
-    masks = arrays["masks"]
-    if masks.ndim != 2:
-        raise UserError(f"{paths['masks']} has shape {masks.shape}, expected (steps, demonstrations)")
-    for name, width in WIDTHS.items():
-        if arrays[name].shape != (*masks.shape, width):
-            raise UserError(f"{paths[name]} has shape {arrays[name].shape}, expected {(*masks.shape, width)}")
-    if masks.shape[0] > LONGEST:
-        raise UserError(f"{paths['masks']} has {masks.shape[0]} steps a demonstration, expected at most {LONGEST}")
+    arrays, paths = published.padded(folder, FILES, WIDTHS, LONGEST, ("steps", "demonstrations"))
     episodes = [
         Episode(
             arrays["observations"][:length, i, : SPEC.observation_size],
             arrays["actions"][:length, i],
             _last_entries(arrays["tasks"][:length, i], i, paths["tasks"]),
         )
-        for i, length in enumerate(published.lengths(masks.T, paths["masks"]))
+        for i, length in enumerate(published.lengths(arrays["masks"].T, paths["masks"]))
     ]
     return _checked(episodes, "published relay kitchen", list(paths.values()))
 
