@@ -103,7 +103,7 @@ def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded
         sampling: how it shall generate actions: the method's Sampling, or None for its default.
 
     Raises:
-        UserError: files are missing or damaged.
+        UserError: files are missing or damaged, or the sampling does not fit the model.
     """
     weights_path, description_path = paths(folder, seed)
     description = load_description(folder, seed)
@@ -120,7 +120,13 @@ def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded
     if shapes != {key: tuple(value.shape) for key, value in method.state_dict().items()}:
         raise UserError(f"{weights_path} is damaged: its weights are not those of a {name} of this configuration")
     method.load_state_dict(weights)
-    context = sampling.context_steps(config.context) if sampling else config.context
+    context = config.context
+    if sampling is not None:
+        try:
+            config.check(sampling)
+        except ValueError as error:
+            raise UserError(f"{description_path}: sampling: {error}") from None
+        context = sampling.context_steps(config.context)
     return Loaded(method.to(device).eval(), Scaling.from_dict(description["scaling"]), context)
 
 

@@ -160,6 +160,8 @@ def test_a_researchers_policy_acts_like_the_evaluations(job, small_models):
     assert np.array_equal(first, [agent.act(np.full((1, 16), 0.1 * i), noise)[0] for i in range(4)])
     with pytest.raises(UserError, match=r"sampling.nothing = 1: unknown key"):
         Policy.load(job.models, sampling={"nothing": 1})
+    with pytest.raises(UserError, match="context_length = 9: must be at most the model's window, 3"):
+        Policy.load(job.models, sampling={**small_models["c_beso"][1], "context_length": 9})
 
 
 @pytest.fixture
