@@ -24,11 +24,12 @@ LOGS = paths.SCRATCH / "logs"
 LAST_LINES = 12  # of the output of a stage that failed
 
 
-def plan(targets: list[str]) -> dict[str, set[str]]:
+def plan(targets: list[str]) -> tuple[dict[str, set[str]], set[str]]:
     """Addresses of the stages of `dvc repro TARGETS` that are out of date or follow such a one.
 
     Returns:
-        In topological order: each with those among them that it waits for.
+        In topological order: each with those among them that it waits for. And those that run alone: they measure time
+        (`meta: {alone: true}` in dvc.yaml), or most of the others follow them and beside them is too little to do.
 
     Raises:
         UserError: no such stage, or DVC cannot read its files.
@@ -45,7 +46,18 @@ def plan(targets: list[str]) -> dict[str, set[str]]:
         before = {upstream.addressing for upstream in graph.successors(stage)} & waits_for.keys()
         if before or stage.addressing in stale:
             waits_for[stage.addressing] = before
-    return waits_for
+    alone = {stage.addressing for stage in stages if (stage.meta or {}).get("alone")}
+    alone |= {name for name in waits_for if 2 * len(_followers(name, waits_for)) > len(waits_for)}
+    return waits_for, alone
+
+
+def _followers(name: str, waits_for: dict[str, set[str]]) -> set[str]:
+    """The stages that cannot run before this one has."""
+    found = {name}
+    for other, before in waits_for.items():  # in topological order
+        if before & found:
+            found.add(other)
+    return found - {name}
 
 
 class Child:
@@ -109,20 +121,11 @@ class Progress:
             self.show("", end="")
 
 
-def followers(name: str, waiting: dict[str, set[str]]) -> set[str]:
-    """The waiting stages (in topological order) that cannot run before this one has."""
-    found = {name}
-    for other, before in waiting.items():
-        if before & found:
-            found.add(other)
-    return found - {name}
-
-
-def execute(waits_for: dict[str, set[str]], jobs: int, cores: int) -> tuple[list[str], list[str]]:
+def execute(waits_for: dict[str, set[str]], alone: set[str], jobs: int, cores: int) -> tuple[list[str], list[str]]:
     """Run stages, up to `jobs` at once.
 
     Args:
-        waits_for: see `plan`.
+        waits_for, alone: see `plan`.
         cores: shared among the stages that run at one time.
 
     Returns:
@@ -141,10 +144,12 @@ def execute(waits_for: dict[str, set[str]], jobs: int, cores: int) -> tuple[list
                 else:
                     failed.append(child.name)
                     progress.show(child.failure())
-            ready = [name for name, before in waiting.items() if before <= done][: jobs - len(running)]
-            # What most others wait for runs first and alone, with all cores: beside it there is too little to do.
-            if urgent := [name for name in ready if 2 * len(followers(name, waiting)) > len(waiting)]:
-                ready = urgent[:1] if not running else []
+            can_run = [name for name, before in waiting.items() if before <= done]
+            ready = [name for name in can_run if name not in alone][: jobs - len(running)]
+            if any(child.name in alone for child in running):
+                ready = []
+            elif not running and not ready:
+                ready = can_run[:1]
             workers = max(1, cores // max(1, len(running) + len(ready)))
             for name in ready:
                 del waiting[name]
@@ -169,7 +174,7 @@ def main(*arguments: str) -> None:
     options = parser.parse_args(arguments)
     if options.jobs < 1:
         parser.error("argument -j/--jobs: must be at least 1")
-    todo = plan(options.stages)
+    todo, alone = plan(options.stages)
     if not todo:
         print("everything is up to date")
         return
@@ -178,10 +183,10 @@ def main(*arguments: str) -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):  # in their own process groups the stages would go on
         if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores the second
             signal.signal(number, signal.default_int_handler)
-    failed, skipped = execute(todo, options.jobs, available_workers())
+    failed, skipped = execute(todo, alone, options.jobs, available_workers())
     if failed:
         raise UserError(f"failed: {', '.join(failed)}" + (f"; not run: {', '.join(skipped)}" if skipped else ""))
-    if stale := plan(options.stages):
+    if stale := plan(options.stages)[0]:
         raise UserError(f"still out of date: {', '.join(stale)}; something changed meanwhile, run again")
     print(f"{len(todo)} stages brought up to date")
 

@@ -185,6 +185,19 @@ def wait_for(repository, stages, seconds=20):
         time.sleep(0.02)
 
 
+def test_what_measures_time_and_what_most_wait_for_run_alone(repository):
+    repository.write("dvc.yaml", STAGES.replace("  other:\n", "  other:\n    meta: {alone: true}\n"))
+    repository.write("nap", str(NAP))
+    repository.run("-j", "3")
+    names = ("a", "left", "right", "end", "other")
+    for alone in ("a", "other"):
+        start, end = repository.time(alone, "start"), repository.time(alone, "end")
+        others = [name for name in names if name != alone]
+        assert all(end < repository.time(name, "start") or repository.time(name, "end") < start for name in others)
+    assert repository.time("right", "start") < repository.time("left", "end")
+    assert repository.time("left", "start") < repository.time("right", "end")
+
+
 def test_an_input_that_changes_during_the_run_is_told(repository):
     repository.write("nap_left", str(NAP))
     process = repository.start("side@left", stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
