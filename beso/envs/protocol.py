@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -14,7 +14,9 @@ from beso.seeding import integer_seed
 
 if TYPE_CHECKING:
     import gymnasium
+    import pandas as pd
     import torch
+    from matplotlib.figure import Figure
 
 Recorder = Callable[[int, int], Episode]  # (root seed, index of the demonstration)
 Importer = Callable[[Path], PlayDataset]
@@ -95,6 +97,26 @@ class Metric(NamedTuple):
     maximum: float
 
 
+class Drawing(NamedTuple):
+    """A figure of the report: the name of its file, what it shows in a sentence, and itself."""
+
+    name: str
+    caption: str
+    figure: Figure
+
+
+class Table(NamedTuple):
+    """A table of the report: its LaTeX label, what it shows in a sentence, column heads, rows of text and numbers."""
+
+    name: str
+    caption: str
+    columns: tuple[str, ...]
+    rows: list[tuple[Any, ...]]
+
+
+Episodes = Mapping[str, "pd.DataFrame"]  # rows of evaluation by the methods' labels, in the report's order
+
+
 class Report(Protocol):
     """What only the report must know of an environment: the module `beso.envs.<name>.report`."""
 
@@ -105,6 +127,12 @@ class Report(Protocol):
 
     def statistics(self, dataset: PlayDataset) -> dict[str, float]:
         """The same statistics of a dataset, by their names."""
+
+    def drawings(self, dataset: PlayDataset, episodes: Episodes) -> list[Drawing]:
+        """Figures that only this environment has."""
+
+    def tables(self, dataset: PlayDataset, episodes: Episodes) -> list[Table]:
+        """Tables that only this environment has."""
 
 
 def identity(observations: np.ndarray) -> np.ndarray:

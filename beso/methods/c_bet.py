@@ -51,7 +51,20 @@ class Config(ModelConfig):
 
 @dataclass(frozen=True)
 class Sampling(SamplingConfig):
-    """Nothing to choose: the bin is always drawn."""
+    """How actions are generated; the bin is always drawn.
+
+    Attributes:
+        context_length: time steps of the context in rollouts; null takes the training window.
+    """
+
+    context_length: int | None
+
+    def __post_init__(self) -> None:
+        require_positive(self, "context_length")
+
+    def context_steps(self, trained: int) -> int:
+        """The context's length if one is given."""
+        return self.context_length or trained
 
 
 class Method(nn.Module, Policy):

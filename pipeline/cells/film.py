@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from beso.errors import CannotDrawError
 from beso.evaluation_config import Chunk
 from beso.files import replacing, write_json
 from beso.rollout import EvaluationJob, Row, evaluate
@@ -19,12 +20,19 @@ TRACK_NUMBER = b"\x73\xc5\x88"  # Matroska's TrackUID, an integer of 8 bytes
 
 
 def film_cell(params: Params, environment: str, method: str) -> None:
-    """Film the first episode of a cell's first seed, with the paper's kind of goal, and keep the episode's row."""
+    """Film the first episode of a cell's first seed, with the paper's kind of goal, and keep the episode's row.
+
+    On a machine that cannot draw this environment there is no film, and the row is the reason (`no_film`).
+    """
     job = evaluation_jobs(params, environment, method, params.sampling(environment, method))[0]
     with replacing(paths.film(environment, method)) as folder:
         folder.mkdir()
-        # One worker is this process with a single thread.
-        (row,) = map_jobs(film_episode, [(job, folder / "rollout.webm")], 1)
+        try:
+            # One worker is this process with a single thread.
+            (row,) = map_jobs(film_episode, [(job, folder / "rollout.webm")], 1)
+        except CannotDrawError as error:
+            print(f"no film: {error}")
+            row = {"no_film": str(error)}
         write_json(folder / "rollout.json", row)
 
 

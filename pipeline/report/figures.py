@@ -3,7 +3,9 @@
 import io
 import itertools
 import math
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -11,7 +13,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from beso import envs
-from beso.files import replacing
+from beso.envs.protocol import Drawing
+from beso.files import replacing, write_json
 from pipeline import paths
 from pipeline.params import Params
 from pipeline.report.names import Names
@@ -31,16 +34,36 @@ def save(figure: Figure, folder: Path, name: str) -> None:
         (folder / f"{name}.{kind}").write_bytes(drawn.getvalue())
 
 
-def draw_all(params: Params, comparison: pd.DataFrame, folder: Path) -> None:
-    """Draw every figure into `folder`, replacing it whole."""
-    names = Names(params)
+CAPTIONS = "captions.json"  # beside the figures: a sentence each, in the report's order
+
+
+def draw_all(params: Params, values: dict[str, Any], folder: Path) -> None:
+    """Draw every figure into `folder`, replacing it whole.
+
+    Args:
+        values: from pipeline.report.gather.gather.
+    """
     with replacing(folder) as temporary, matplotlib.rc_context(STYLE):
         temporary.mkdir()
-        for environment in params.envs:
-            part = comparison[comparison["environment"] == environment]
-            save(scores(params, part, names, environment), temporary, f"scores_{environment}")
-            save(training_curves(params, names, environment), temporary, f"training_{environment}")
-        save(fork_samples(params, names), temporary, "fork")
+        captions = []
+        for drawing in drawings(params, values):
+            save(drawing.figure, temporary, drawing.name)
+            captions.append({"name": drawing.name, "caption": drawing.caption})
+        write_json(temporary / CAPTIONS, {"figures": captions})
+
+
+def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
+    """Every figure, one after another: those of each environment, its room's own among them, then the fork."""
+    names, comparison = values["names"], values["comparison"]
+    for name, title in names.environments.items():
+        part = comparison[comparison["environment"] == name]
+        caption = f"{title}: scores beside the paper's; lines are one standard deviation."
+        yield Drawing(f"scores_{name}", caption, scores(params, part, names, name))
+        yield from envs.report(name).drawings(values["datasets"][name], values["episodes"][name])
+        caption = f"{title}: held-out loss over its first measurement, a line a seed."
+        yield Drawing(f"training_{name}", caption, training_curves(params, names, name))
+    caption = "The fork, a toy: one state with two right actions, and the actions each method draws from it."
+    yield Drawing("fork", caption, fork_samples(params, names))
 
 
 def scores(params: Params, comparison: pd.DataFrame, names: Names, environment: str) -> Figure:

@@ -11,15 +11,19 @@ from beso.envs.protocol import Report
 from pipeline import paths
 from pipeline.params import Params
 from pipeline.report import studies
-from pipeline.report.comparison import compare, source
+from pipeline.report.comparison import compare, read_episodes, source
 from pipeline.report.names import Names
 from pipeline.report.tables import main_methods, main_rows, number
 
 
 def gather(params: Params) -> dict[str, Any]:
-    """Values for the templates: parameters, names, the comparison and its main table, studies, data and sources."""
+    """Values for templates and figures: parameters, names, comparison, main table, studies, data and their sources."""
     datasets = {environment: play.load(paths.play(environment), envs.spec(environment)) for environment in params.envs}
     comparison, names = compare(params), Names(params)
+    episodes = {
+        environment: {names.methods[m]: read_episodes(environment, m) for m in params.methods_in(environment)}
+        for environment in params.envs
+    }
     return {
         "params": params,
         "names": names,
@@ -28,6 +32,9 @@ def gather(params: Params) -> dict[str, Any]:
         "methods": main_methods(params),
         "rows": main_rows(params, comparison, names),
         "studies": studies.tables(params),
+        "datasets": datasets,
+        "episodes": episodes,
+        "own_tables": [t for name, data in datasets.items() for t in envs.report(name).tables(data, episodes[name])],
         "data": {name: beside_published(envs.report(name), dataset) for name, dataset in datasets.items()},
         "sources": {name: source(dataset) for name, dataset in datasets.items()},
     }

@@ -13,6 +13,7 @@ from beso import envs
 from beso.files import read_json
 from pipeline import paths
 from pipeline.params import PATH, Params
+from pipeline.report.figures import CAPTIONS
 from pipeline.report.names import Names
 from pipeline.report.tables import TEMPLATES
 
@@ -40,16 +41,11 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
         loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
     )
     names: Names = values["names"]
-    figures = []
-    for name in params.envs:
-        title = names.environments[name]
-        figures += [
-            _figure(f"scores_{name}", f"{title}: scores beside the paper's; lines are one standard deviation."),
-            _figure(f"training_{name}", f"{title}: held-out loss over its first measurement, a line a seed."),
-        ]
-    figures.append(
-        _figure("fork", "The fork, a toy: one state with two right actions, and the actions each method draws from it.")
-    )
+    folder = paths.REPORTS / "figures"
+    figures = [
+        {"data": _data_url(folder / f"{figure['name']}.png", "image/png"), "caption": figure["caption"]}
+        for figure in read_json(folder / CAPTIONS)["figures"]
+    ]
     return environment.get_template("report.html.j2").render(
         **values,
         figures=figures,
@@ -60,18 +56,18 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
     )
 
 
-def _figure(name: str, caption: str) -> dict[str, str]:
-    return {"data": _data_url(paths.REPORTS / "figures" / f"{name}.png", "image/png"), "caption": caption}
-
-
 def _films(params: Params, names: Names) -> list[dict[str, str]]:
     films = []
     for cell in params.films.values():
         path = paths.film(cell.env, cell.method) / "rollout.webm"
         row, metric = read_json(path.with_suffix(".json")), envs.report(cell.env).METRICS[-1]
+        title = f"{names.methods[cell.method]} in {names.environments[cell.env]}"
+        if "no_film" in row:
+            films.append({"data": "", "caption": f"{title}: no film. {row['no_film']}"})
+            continue
         caption = (
-            f"{names.methods[cell.method]} in {names.environments[cell.env]}: seed {row['seed']}, episode"
-            f" {row['episode']}, {metric.label.lower()} {row[metric.name]:g} after {row['length']} actions"
+            f"{title}: seed {row['seed']}, episode {row['episode']}, {metric.label.lower()} {row[metric.name]:g} after"
+            f" {row['length']} actions"
         )
         films.append({"data": _data_url(path, "video/webm"), "caption": caption})
     return films

@@ -164,11 +164,10 @@ def _play(
     policy = build("c_beso", model, sampling, environment_spec.sizes)
     environments = [module.make() for _ in range(count)]
     observations = np.stack([env.reset(seed=i)[0] for i, env in enumerate(environments)])
-    size = len(environment_spec.visible)
-    scaling = Scaling(
-        environment_spec.visible, environment_spec.goal_masked, (0.0,) * size, (1.0,) * size, (-0.03,) * 2, (0.03,) * 2
-    )
-    agent = Agent(Loaded(policy, scaling, model.window), observations[:, None], torch.device("cpu"))
+    dataset = play.load(paths.play(environment), environment_spec)
+    scaling = Scaling.fit(dataset, np.arange(len(dataset)), environment_spec)
+    goals = np.repeat(observations[:, None], environment_spec.goal_window, axis=1)
+    agent = Agent(Loaded(policy, scaling, model.window), goals, torch.device("cpu"))
     noise = BatchNoise(count, torch.Generator().manual_seed(0))
     start = time.time()
     for _ in range(steps):

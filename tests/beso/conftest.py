@@ -81,7 +81,7 @@ SAMPLINGS = {
     "c_ibc": {"candidates": 16, "iterations": 3, "noise_scale": 0.3, "noise_shrink": 0.5},
     "ril": {"replan": 2},
     "lmp": {"replan": 2},
-    "c_bet": {},
+    "c_bet": {"context_length": None},
     "cx_diff": {"steps": None, "extra_steps": 2, "context_length": None},
 }
 OPTIMIZATION = {

@@ -15,7 +15,9 @@ ENVIRONMENT = {
         )
         """,
     "report.py": """
-        from beso.envs.protocol import Metric
+        from matplotlib.figure import Figure
+
+        from beso.envs.protocol import Drawing, Metric, Table
 
         LABEL = "Toy"
         GOAL_LABELS = {"training": "training goals"}
@@ -25,6 +27,16 @@ ENVIRONMENT = {
 
         def statistics(dataset):
             return {"demonstrations": len(dataset)}
+
+
+        def drawings(dataset, episodes):
+            figure = Figure()
+            figure.subplots().plot(dataset.lengths)
+            return [Drawing("toy_lengths", f"Lengths, and {len(episodes)} methods.", figure)]
+
+
+        def tables(dataset, episodes):
+            return [Table("toy", "Toy rows.", ("Method", "Rows"), [(m, len(rows)) for m, rows in episodes.items()])]
         """,
     "simulator/__init__.py": """
         import gymnasium
@@ -162,6 +174,8 @@ def test_an_environment_is_one_folder_and_its_parameters(workspace):
     assert rows["success"].isin([0, 1]).all()
     table = (workspace.folder / "reports/tables.tex").read_text()
     assert "Toy & Success & ours, training goals" in table
+    assert "GCBC & 4" in table  # the room's own table
+    assert (workspace.folder / "reports/figures/toy_lengths.pdf").is_file()
     assert '"failed_takes": 6' in (workspace.folder / "data/play/toy/meta.json").read_text()
 
 

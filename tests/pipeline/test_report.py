@@ -8,22 +8,26 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from beso import methods
-from pipeline import profile
+from beso import envs, methods
+from beso.errors import CannotDrawError
+from pipeline import params, profile
+from pipeline.cells import film
 from pipeline.cells.film import write_video
 
 
 def test_comparison_has_every_cell_and_follows_from_the_rows(finished):
     table = pd.read_csv(finished.folder / "reports/comparison.csv")
     keys = table[["environment", "metric", "method", "goals"]].drop_duplicates()
-    assert len(keys) == len(table) == 1 * 2 * len(methods.names()) * 2
+    assert len(keys) == len(table) == len(envs.names()) * 2 * len(methods.names()) * 2  # metrics, goal sets
     for row in table.itertuples():
         rows = pd.read_csv(finished.folder / f"results/{row.environment}/{row.method}.csv")
         rows = rows[rows["goals"] == row.goals]
         by_seed = [part[row.metric].sum() / len(part) for _, part in rows.groupby("seed")]
         assert row.ours == pytest.approx(np.mean(by_seed), abs=1e-6)
-        assert row.ours_std == pytest.approx(np.std(by_seed, ddof=1), abs=1e-6)
-        assert (row.seeds, row.episodes) == (2, len(rows))
+        if len(by_seed) > 1:
+            assert row.ours_std == pytest.approx(np.std(by_seed, ddof=1), abs=1e-6)
+        assert (row.seeds, row.episodes) == (len(by_seed), len(rows))
+    assert set(table["seeds"]) == {1, 2}  # of the kitchen and of block push in this profile
     beside = table[table["goals"] == "training"]
     assert beside[["paper", "difference", "standard_error", "verdict"]].notna().all(axis=None)
     assert table["data"].eq("scripted demonstrations made here").all()
@@ -33,7 +37,8 @@ def test_tables_put_ours_beside_the_papers(finished):
     text = (finished.folder / "reports/tables.tex").read_text()
     assert "GCBC & C-IBC & LMP & RIL & C-BeT & CX-Diff & C-BESO & CFG-BESO" in text
     main = text[: text.index("tab:main")]
-    assert len(re.findall(r"\\pm", main)) == 2 * 3 * len(methods.names())  # metrics, whose, methods
+    # Metrics, whose, methods; in the kitchen, of one seed here, the paper's numbers alone have a deviation.
+    assert len(re.findall(r"\\pm", main)) == 2 * (3 + 1) * len(methods.names())
     for number in ("0.13", "0.96", "0.97", "0.93", "0.88"):  # the paper's
         assert f"{number} ($\\pm$" in text
     assert "scripted demonstrations made here" in text
@@ -108,8 +113,11 @@ def test_latency_is_measured_for_every_method_at_the_papers_size(finished):
     assert set(zip(table["method"], table["batch"], strict=True)) == {
         (method, batch) for method in methods.names() for batch in (1, 4)
     }
-    of_the_papers_backbone = table["method"].isin(["cx_diff", "c_beso", "cfg_beso"])
-    assert set(table.loc[of_the_papers_backbone, "parameters"]) == {2_783_762}
+    papers = table[table["method"].isin(["cx_diff", "c_beso", "cfg_beso"])]
+    assert set(zip(papers["environment"], papers["parameters"], strict=True)) == {
+        ("block_push", 2_783_762),
+        ("kitchen", 9_381_609),
+    }
     assert (table["median_ms"] > 0).all()
 
 
@@ -127,6 +135,18 @@ def test_films_play_back(tmp_path):
     assert np.abs(decoded[-1].astype(int) - frames[-1]).mean() < 12  # VP8 is lossy
     write_video(tmp_path / "again.webm", frames, 20)
     assert (tmp_path / "again.webm").read_bytes() == (tmp_path / "film.webm").read_bytes()
+
+
+def test_a_machine_that_cannot_draw_says_so_on_the_page(workspace, monkeypatch):
+    def cannot_draw(*arguments):
+        raise CannotDrawError("there is no pencil")
+
+    monkeypatch.chdir(workspace.folder)
+    monkeypatch.setattr(film, "film_episode", cannot_draw)
+    film.film_cell(params.load(), "kitchen", "c_beso")
+    workspace.python("-m", "stages.page")
+    page = (workspace.folder / "reports/report.html").read_text()
+    assert "C-BESO in Relay Kitchen: no film. there is no pencil" in page
 
 
 def test_watch_films_an_episode_of_the_evaluation(finished, tmp_path):

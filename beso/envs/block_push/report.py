@@ -4,7 +4,7 @@ import numpy as np
 
 from beso.data.play import PlayDataset
 from beso.envs.block_push.spec import LONGEST
-from beso.envs.protocol import Metric
+from beso.envs.protocol import Drawing, Episodes, Metric, Table
 from beso.envs.statistics import sizes
 
 LABEL = "Block-Push"
@@ -33,3 +33,13 @@ def statistics(dataset: PlayDataset) -> dict[str, float]:
         # A demonstration that succeeds ends before its limit.
         "share ended by success": float((dataset.lengths < LONGEST).mean()),
     }
+
+
+def drawings(dataset: PlayDataset, episodes: Episodes) -> list[Drawing]:
+    """None beyond those of every environment."""
+    return []
+
+
+def tables(dataset: PlayDataset, episodes: Episodes) -> list[Table]:
+    """None beyond those of every environment."""
+    return []

@@ -3,7 +3,8 @@
 import numpy as np
 
 from beso.data.play import PlayDataset
-from beso.envs.protocol import Metric
+from beso.envs.kitchen import drawings as figures
+from beso.envs.protocol import Drawing, Episodes, Metric, Table
 from beso.envs.statistics import sizes
 
 LABEL = "Relay Kitchen"
@@ -24,3 +25,39 @@ def statistics(dataset: PlayDataset) -> dict[str, float]:
         "different orders of tasks": len(set(done)),
         "failed takes": float(dataset.meta.get("failed_takes", 0)),
     }
+
+
+def drawings(dataset: PlayDataset, episodes: Episodes) -> list[Drawing]:
+    """How varied the demonstrations are; which task follows which; how many of a goal's tasks are done."""
+    return [
+        Drawing(
+            "kitchen_variety",
+            f"{LABEL}: the hand in the two seconds before a task is done, seen from the front, in up to {figures.DRAWN}"
+            " demonstrations (blue: open, orange: closed when the task is done), and how often each set of four"
+            " tasks was demonstrated.",
+            figures.variety(dataset),
+        ),
+        Drawing(
+            "kitchen_order",
+            f"{LABEL}: which task follows which, in the demonstrations and in the methods' episodes; letters as in the"
+            " figure before.",
+            figures.order_matrices(dataset, episodes),
+        ),
+        Drawing(
+            "kitchen_completed",
+            f"{LABEL}: share of episodes that do at least one to {WANTED} of their goal's tasks, training goals.",
+            figures.completion(_training(episodes), WANTED),
+        ),
+    ]
+
+
+def tables(dataset: PlayDataset, episodes: Episodes) -> list[Table]:
+    """The last figure's numbers."""
+    rows = [(name, *figures.completed_shares(part, WANTED)) for name, part in _training(episodes).items()]
+    columns = ("Method", *(f"at least {n}" for n in range(1, WANTED + 1)))
+    return [Table("kitchen_completed", f"{LABEL}: share of episodes by the goal's tasks done.", columns, rows)]
+
+
+def _training(episodes: Episodes) -> Episodes:
+    """The episodes with the paper's kind of goal."""
+    return {method: rows[rows["goals"] == "training"] for method, rows in episodes.items()}

@@ -13,7 +13,7 @@ CENTRES = torch.tensor([[-0.8, 0.0], [0.1, 0.5], [0.9, -0.6]])
 
 
 def make(centres=CENTRES):
-    method = c_bet.Method(CONFIG, c_bet.Sampling(), SIZES, torch.Generator().manual_seed(0))
+    method = c_bet.Method(CONFIG, c_bet.Sampling(context_length=None), SIZES, torch.Generator().manual_seed(0))
     method.centres.copy_(centres)
     return method.eval()
 

@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from beso.errors import UserError
+from beso.errors import CannotDrawError, UserError
 
 VIEW = {"distance": 2.2, "azimuth": 70.0, "elevation": -35.0, "lookat": (-0.2, 0.5, 2.0)}  # as FrankaKitchen-v1
 SLOW_EFFECTS = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION)  # most of the time on a CPU
@@ -21,7 +21,8 @@ class Camera:
         size: (height, width) of the pictures in pixels.
 
     Raises:
-        UserError: MuJoCo cannot draw on this machine.
+        CannotDrawError: MuJoCo cannot draw on this machine.
+        UserError: the size is too large.
     """
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int]) -> None:
@@ -66,7 +67,7 @@ def _opengl(width: int, height: int) -> Any:
     try:
         return importlib.import_module(f"mujoco.{name}").GLContext(width, height)
     except Exception as error:  # no library, no device, no permission: each fails in a way of its own
-        raise UserError(
+        raise CannotDrawError(
             f"MuJoCo cannot draw with {name} on this machine ({type(error).__name__}): install libEGL, or install "
             "libOSMesa and set MUJOCO_GL=osmesa; only films need it"
         ) from None

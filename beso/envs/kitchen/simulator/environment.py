@@ -99,7 +99,7 @@ class KitchenEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """A picture of the scene, (height, width, 3) uint8 RGB.
 
         Raises:
-            UserError: MuJoCo cannot draw on this machine.
+            CannotDrawError: MuJoCo cannot draw on this machine.
         """
         if self.render_mode is None:
             return None
