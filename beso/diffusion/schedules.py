@@ -70,8 +70,7 @@ def iddpm(steps: int, sigma_min: float, sigma_max: float) -> Tensor:
 def ve(steps: int, sigma_min: float, sigma_max: float) -> Tensor:
     """The variance-exploding schedule of Song et al. (2021): equal strides of ln(sigma^2).
 
-    This is the exponential schedule. The published code steps past sigma_min because its index runs too far; the
-    difference that the paper's table shows comes from there.
+    This is the exponential schedule; that the paper's table shows a difference comes from `ve_published`.
     """
     i = _fractions(steps)
     return _ending_in_zero(torch.sqrt(sigma_max**2 * (sigma_min**2 / sigma_max**2) ** i))
@@ -80,8 +79,7 @@ def ve(steps: int, sigma_min: float, sigma_max: float) -> Tensor:
 def vp(steps: int, sigma_min: float, sigma_max: float) -> Tensor:
     """The variance-preserving schedule of Song et al. (2021): sigma(t) = sqrt(exp(beta_d t^2 / 2 + beta_min t) - 1).
 
-    t takes equal strides between the times of sigma_max and sigma_min. The published code ignores the range and starts
-    at sigma(1) = 152, far outside of what the model was trained on and of the initial sample's scale.
+    t takes equal strides between the times of sigma_max and sigma_min.
     """
 
     def time(sigma: float) -> float:
@@ -89,8 +87,26 @@ def vp(steps: int, sigma_min: float, sigma_max: float) -> Tensor:
         return (root - VP_BETA_MIN) / VP_BETA_D
 
     i = _fractions(steps)
-    t = (1 - i) * time(sigma_max) + i * time(sigma_min)
+    return _vp_levels((1 - i) * time(sigma_max) + i * time(sigma_min))
+
+
+def _vp_levels(t: Tensor) -> Tensor:
     return _ending_in_zero(torch.sqrt(torch.expm1(VP_BETA_D / 2 * t**2 + VP_BETA_MIN * t)))
+
+
+def ve_published(steps: int, sigma_min: float, sigma_max: float) -> Tensor:
+    """`ve` as the published code has it: the index runs too far, so that the levels fall past sigma_min."""
+    i = torch.linspace(0, (steps + 1) / max(steps - 1, 1), steps, dtype=torch.float64)
+    return _ending_in_zero(torch.sqrt(sigma_max**2 * (sigma_min**2 / sigma_max**2) ** i))
+
+
+def vp_published(steps: int, sigma_min: float, sigma_max: float) -> Tensor:
+    """`vp` as the published code has it, which ignores the range.
+
+    t falls from 1 to 0.001 and sigma from 152, far outside of what the model was trained on and of the initial sample's
+    scale.
+    """
+    return _vp_levels(torch.linspace(1, 1e-3, steps, dtype=torch.float64))
 
 
 SCHEDULES: dict[str, Schedule] = {
@@ -100,4 +116,6 @@ SCHEDULES: dict[str, Schedule] = {
     "iddpm": iddpm,
     "ve": ve,
     "vp": vp,
+    "ve_published": ve_published,
+    "vp_published": vp_published,
 }

@@ -60,7 +60,8 @@ class DiffusionSampling(SamplingConfig):
         steps: number of denoising steps.
         sigma_min, sigma_max: range of the schedule.
         context: "clean" keeps the previous actions as executed; "published" pushes them through the sampler together
-            with the new one, as the published code does (facts in docs/fidelity.md).
+            with the new one, as the published code does (docs/fidelity.md); "renoised" adds noise of each denoising
+            step's level to them, as training does.
         context_length: time steps of the context in rollouts; null takes the training window.
     """
 
@@ -69,7 +70,7 @@ class DiffusionSampling(SamplingConfig):
     steps: int
     sigma_min: float
     sigma_max: float
-    context: Literal["clean", "published"]
+    context: Literal["clean", "published", "renoised"]
     context_length: int | None
 
     def __post_init__(self) -> None:
@@ -207,20 +208,23 @@ class ScorePolicy(nn.Module, Policy):
             goal = torch.cat([goal, self.without_goal(goal)])
             observations, actions = torch.cat([observations, observations]), torch.cat([actions, actions])
 
-        clean = self.sampling.context == "clean"
+        alone, action_size = self.sampling.context != "published", actions.shape[-1]
+        eps: Tensor | float = 0.0  # of the previous actions, for each of the levels alike
+        if self.sampling.context == "renoised":
+            eps = noise.normal(previous, action_size)
+            eps = torch.cat([eps, eps]) if guided else eps
 
         def bound(a: Tensor, sigma: float) -> Tensor:
             """D with state and goal bound, on the current action (B, 1, A) or, as published, on all of them."""
-            if clean:
-                return self.denoise(torch.cat([actions, a], dim=1), sigma, observations, goal)
+            if alone:
+                return self.denoise(torch.cat([actions + sigma * eps, a], dim=1), sigma, observations, goal)
             return self.denoise(a, sigma, observations, goal, last_only=False)
 
         denoise = classifier_free(bound, self.guidance_scale) if guided else bound
-        action_size = actions.shape[-1]
         sigmas = self._sigmas
-        a = sigmas[0] * noise.normal(1, action_size)
-        if not clean:
+        a = self.sampling.sigma_max * noise.normal(1, action_size)
+        if not alone:
             a = torch.cat([actions[:batch], a], dim=1)
-        noise_steps = 1 if clean else previous + 1
+        noise_steps = 1 if alone else previous + 1
         sampler = SAMPLERS[self.sampling.sampler]
         return sampler(denoise, a, sigmas, lambda: noise.normal(noise_steps, action_size))[:, -1]

@@ -21,6 +21,9 @@ SIGMA_DATA, STD = 0.5, 0.3
 DIFFUSION = DiffusionConfig(SIGMA_DATA, 0.05, 1.0, "log_logistic", math.log(0.5), 0.5)
 
 
+CONTEXTS = ("clean", "published", "renoised")
+
+
 def sampling(sampler="ddim", steps=3, context="clean", sigma_min=0.05):
     return DiffusionSampling(sampler, "exponential", steps, sigma_min, 1.0, context, None)
 
@@ -169,7 +172,7 @@ def test_act_follows_the_ode_of_a_known_denoiser():
     assert torch.allclose(act(policy, data), exact, atol=2e-3)
 
 
-@pytest.mark.parametrize("context", ["clean", "published"])
+@pytest.mark.parametrize("context", CONTEXTS)
 @pytest.mark.parametrize("sampler", ["ddim", "euler_ancestral", "dpmpp_2m", "dpm_2_ancestral"])
 def test_act_is_deterministic_given_its_noise(sampler, context):
     policy = ScorePolicy(transformer(), DIFFUSION, sampling(sampler, context=context)).eval()
@@ -178,7 +181,7 @@ def test_act_is_deterministic_given_its_noise(sampler, context):
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3])
-@pytest.mark.parametrize("context", ["clean", "published"])
+@pytest.mark.parametrize("context", CONTEXTS)
 def test_act_works_while_the_context_grows(context, steps):
     policy = ScorePolicy(transformer(), DIFFUSION, sampling("euler_ancestral", context=context), guidance_scale=2.0)
     action = act(policy.eval(), steps=steps)
@@ -194,6 +197,18 @@ def test_clean_context_keeps_previous_actions_through_all_denoising_steps():
         assert torch.allclose(seen[:, :-1], data.actions[:, : T - 1], atol=1e-6)
 
 
+def test_renoised_context_has_the_level_of_each_denoising_step():
+    data, network = batch(), OptimalNetwork()
+    act(ScorePolicy(network, DIFFUSION, sampling(steps=4, context="renoised")).eval(), data)
+    eps = [
+        (seen[:, :-1] - data.actions[:, : T - 1]) / sigma
+        for seen, sigma in zip(network.seen, sampling_levels(4), strict=False)
+    ]
+    assert len(eps) == 4
+    assert all(torch.allclose(found, eps[0], atol=1e-4) for found in eps)
+    assert eps[0].std() > 0.5
+
+
 def test_published_context_moves_previous_actions_with_the_new_one():
     data, network = batch(), OptimalNetwork()
     act(ScorePolicy(network, DIFFUSION, sampling(context="published")).eval(), data)
@@ -206,18 +221,19 @@ def test_published_context_moves_previous_actions_with_the_new_one():
     assert torch.allclose(second, expected, atol=1e-6)
 
 
-def sampling_levels():
-    return ScorePolicy(OptimalNetwork(), DIFFUSION, sampling()).sampling.sigmas()
+def sampling_levels(steps=3):
+    return sampling(steps=steps).sigmas()
 
 
-def test_both_contexts_agree_where_there_are_no_previous_actions():
+def test_all_contexts_agree_where_there_are_no_previous_actions():
     network = transformer()
-    clean, published = (ScorePolicy(network, DIFFUSION, sampling(context=c)).eval() for c in ("clean", "published"))
-    assert torch.allclose(act(clean, steps=1), act(published, steps=1), atol=1e-6)
-    assert not torch.allclose(act(clean), act(published), atol=1e-4)
+    clean, *others = (ScorePolicy(network, DIFFUSION, sampling(context=c)).eval() for c in CONTEXTS)
+    for other in others:
+        assert torch.allclose(act(clean, steps=1), act(other, steps=1), atol=1e-6)
+        assert not torch.allclose(act(clean), act(other), atol=1e-4)
 
 
-@pytest.mark.parametrize("context", ["clean", "published"])
+@pytest.mark.parametrize("context", CONTEXTS)
 def test_guidance_scale_decides_how_much_the_goal_matters(context):
     network, data = transformer(), batch()
     other = data._replace(goal=data.goal.flip(0))
