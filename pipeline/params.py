@@ -107,15 +107,18 @@ class Study:
 
     Attributes:
         env, method, of: the cell.
+        rollouts: episodes a seed, the first of the environment's first goal set, which is the paper's.
         vary: values by parameter of the cell's sampling; every combination is played.
     """
 
     env: str
     method: str
     of: str
+    rollouts: int
     vary: dict[str, Any]
 
     def __post_init__(self) -> None:
+        require_positive(self, "rollouts")
         for name, values in self.vary.items():
             require(isinstance(values, list) and len(values) > 0, f"vary.{name} = {values!r}: must be a list of values")
         require(len(self.vary) > 0, "vary = {}: must name at least one parameter")
@@ -301,7 +304,7 @@ def parse(values: Any, where: str) -> Params:
         build(module.Config, chosen.model, f"{key}.model").check(build(module.Sampling, chosen.sample, f"{key}.sample"))
     params = dataclasses.replace(params, methods=checked)
     for name, study in params.studies.items():
-        _study(params, name, study, f"{where}.studies.{name}")
+        _study(params, study, f"{where}.studies.{name}")
     return params
 
 
@@ -334,8 +337,11 @@ def _fits(model: Any, sampling: Any, where: str) -> None:
         raise UserError(f"{where}: {error}") from None
 
 
-def _study(params: Params, name: str, study: Study, where: str) -> None:
-    """Every sampling of a study must be one that its cell could have."""
+def _study(params: Params, study: Study, where: str) -> None:
+    """Every sampling of a study must be one that its cell could have, and its episodes among the evaluation's."""
+    made = params.environments[study.env].evaluation.rollouts
+    if study.rollouts > made:
+        raise UserError(f"{where}.rollouts = {study.rollouts}: must be at most the evaluation's, {made}")
     whole = dataclasses.asdict(params.sampling(study.env, study.method))
     for combination in itertools.product(*study.vary.values()):
         changed = {**whole, **dict(zip(study.vary, combination, strict=True))}

@@ -1,5 +1,6 @@
 """Evaluation of one cell, and of the samplings of a study: chunks of episodes over worker processes."""
 
+from dataclasses import replace
 from typing import Any
 
 import pandas as pd
@@ -29,9 +30,10 @@ def run_study(params: Params, name: str) -> None:
     jobs: list[EvaluationJob] = []
     changes: list[dict[str, Any]] = []
     for changed, sampling in samplings:
-        of_one = evaluation_jobs(params, study.env, study.method, sampling)
-        jobs += of_one
-        changes += [changed] * len(of_one)
+        for job in evaluation_jobs(params, study.env, study.method, sampling):
+            config = replace(job.config, goals=job.config.goals[:1], rollouts=study.rollouts)
+            jobs.append(replace(job, config=config))
+            changes.append(changed)
     rows = play_all(params, jobs, f"study {name}", changes)
     write_text(paths.study(name), pd.DataFrame(rows).to_csv(index=False))
 
