@@ -1,8 +1,20 @@
-"""Ours beside the paper's: one row a number, with a verdict."""
+"""Ours beside the paper's: one row a number, with a verdict.
+
+paper.csv has every number of the paper's tables and text. Its columns:
+
+    place, row, column   where the number stands: a label of places.csv, and the table's own row and column
+    environment, goals, metric, method   what was measured; no environment: time, which differs from run to run
+    study, values        which study of params.yaml gives ours, and which of its samplings (`sampler=euler|heun
+                         steps=3`; of several values, the mean); no study: the cell's own evaluation does
+    mean, std, seeds     as printed; no std: the paper gives none
+    maximum              the metric's largest value
+"""
 
 import math
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from beso import envs
@@ -10,15 +22,32 @@ from beso.data import play
 from beso.errors import UserError
 from pipeline import paths
 from pipeline.params import Params
-from pipeline.report.statistics import Estimate, over_seeds
+from pipeline.report.statistics import NORMAL, PAIRS, Estimate, of_difference, of_normal, over_seeds
 
 PAPER = Path(__file__).with_name("paper.csv")
+PLACES = Path(__file__).with_name("places.csv")
 SMALL = 0.05  # of the largest possible value: differences beyond this matter
+
+NOT_RUN, TIMED = "not run", "timed apart"
+VERDICTS = ("better", "same", "worse", "cannot tell")
+COLUMNS = ["place", "row", "column", "environment", "metric", "method", "study", "values", "goals"]
+COLUMNS += ["ours", "ours_std", "ours_low", "ours_high", "seeds", "episodes", "profile", "data"]
+COLUMNS += ["paper", "paper_std", "difference", "difference_low", "difference_high", "verdict"]
+CELL = ["environment", "metric", "method", "goals"]
 
 
 def paper_numbers() -> pd.DataFrame:
-    """The paper's own numbers: table (its label), environment, metric, method, mean, std, seeds, maximum."""
-    return pd.read_csv(PAPER)
+    """The paper's own numbers in its order; the columns are explained above. What is not given is an empty string."""
+    texts = ["place", "row", "column", *CELL, "study", "values"]
+    return pd.read_csv(PAPER, dtype=dict.fromkeys(texts, str)).fillna(dict.fromkeys(texts, ""))
+
+
+def places() -> pd.DataFrame:
+    """Where numbers stand in the paper, in its order.
+
+    Columns: label (as in its source), name ("Table I"), title, what the page shows there and of what.
+    """
+    return pd.read_csv(PLACES, dtype=str).fillna("")
 
 
 def read_rows(path: Path, stage: str) -> pd.DataFrame:
@@ -37,72 +66,138 @@ def read_episodes(environment: str, method: str) -> pd.DataFrame:
     return read_rows(paths.episodes(environment, method), f"evaluate@{environment}-{method}")
 
 
+def read_study(name: str) -> pd.DataFrame:
+    """The rows of one study. Raises UserError as `read_rows` does."""
+    return read_rows(paths.study(name), f"study@{name}")
+
+
+def rows_of(rows: pd.DataFrame, changes: dict[str, Any]) -> pd.DataFrame:
+    """A study's rows of one sampling."""
+    for key, value in changes.items():
+        rows = rows[rows[key] == value] if value is not None else rows[rows[key].isna()]
+    return rows
+
+
 def source(dataset: play.PlayDataset) -> str:
     """Where play data came from, in words that can stand in a caption."""
     return {"scripted": "scripted demonstrations made here"}.get(dataset.meta["source"], dataset.meta["source"])
 
 
-def compare(params: Params) -> pd.DataFrame:
-    """One row for each environment, metric, method and goal set.
+class Measured(NamedTuple):
+    """One of our numbers: the estimate and the rows it is of."""
 
-    The paper's numbers stand beside results over the first goal set, which is its protocol; other rows have none, nor
-    have methods that the paper does not evaluate there. The standard error of the difference joins ours
-    (pipeline.report.statistics) and the paper's std / sqrt(seeds); the paper's std also stands for the spread between
-    seeds where we have one seed.
+    estimate: Estimate
+    rows: pd.DataFrame
+
+
+def compare(params: Params) -> pd.DataFrame:
+    """One row for each number of the paper, in its order, then one for each of ours that the paper does not have.
+
+    The 95 % interval of the difference joins ours (pipeline.report.statistics) and Student's of the paper's mean and
+    std; the paper's std also stands for the spread between seeds where we have one seed. A number of the paper without
+    a std counts as exact.
     """
-    paper = paper_numbers().set_index(["environment", "metric", "method"])
-    rows = []
+    cells = _cells(params)
+    sources = {name: source(play.load(paths.play(name), envs.spec(name))) for name in params.envs}
+    named = dict(places()[["label", "name"]].itertuples(index=False))
+    known: dict[str, pd.DataFrame] = {}
+    rows, beside = [], set()
+    for number in paper_numbers().itertuples():
+        key = (number.environment, number.metric, number.method, number.goals)
+        measured = _of_study(params, known, number) if number.study else cells.get(key)
+        row = {name: getattr(number, name) for name in COLUMNS[1:9]} | {"place": named[number.place]}
+        row |= {"paper": number.mean, "paper_std": number.std}
+        if measured is None:
+            row["verdict"] = NOT_RUN if number.environment else TIMED
+        else:
+            beside |= set() if number.study else {key}
+            row |= _ours(params, measured, sources[number.environment]) | _beside(measured.estimate, number)
+        rows.append(row)
+    for key, measured in cells.items():
+        if key not in beside:
+            rows.append(dict(zip(CELL, key, strict=True)) | _ours(params, measured, sources[key[0]]))
+    table = pd.DataFrame(rows).reindex(columns=COLUMNS).replace({"": np.nan})
+    return table.astype({"seeds": "Int64", "episodes": "Int64"})
+
+
+def of_cells(comparison: pd.DataFrame) -> pd.DataFrame:
+    """The rows of the run's cells, studies left out: one for each environment, metric, method and goal set."""
+    ours = comparison[comparison["study"].isna() & comparison["ours"].notna()]
+    return ours.drop_duplicates(CELL)  # the main table's row stands before one of the paper's text
+
+
+Key = tuple[str, str, str, str]  # environment, metric, method, goal set
+
+
+def _cells(params: Params) -> dict[Key, Measured]:
+    """Every number of the run's cells, in the order of a table."""
+    found: dict[Key, Measured] = {}
     for environment in params.envs:
-        data = source(play.load(paths.play(environment), envs.spec(environment)))
-        goal_sets = params.environments[environment].evaluation.goals
         for metric in envs.report(environment).METRICS:
             for method in params.methods_in(environment):
                 episodes = read_episodes(environment, method)
-                key = (environment, metric.name, method)
-                theirs = paper.loc[key] if key in paper.index else None
-                for goals in goal_sets:
+                for goals in params.environments[environment].evaluation.goals:
                     part = episodes[episodes["goals"] == goals]
-                    ours = over_seeds(part, metric, deviation_of_one=0.0 if theirs is None else theirs["std"])
-                    row = {
-                        "environment": environment,
-                        "metric": metric.name,
-                        "method": method,
-                        "goals": goals,
-                        "ours": ours.mean,
-                        "ours_std": ours.deviation,
-                        "ours_standard_error": ours.error,
-                        "seeds": part["seed"].nunique(),
-                        "episodes": len(part),
-                        "profile": params.profile,
-                        "data": data,
-                    }
-                    beside = theirs is not None and goals == goal_sets[0]
-                    rows.append(row | (_beside(ours, theirs) if beside else {}))
-    return pd.DataFrame(rows).reindex(columns=COLUMNS)
+                    found[environment, metric.name, method, goals] = Measured(over_seeds(part, metric), part)
+    return found
 
 
-COLUMNS = ["environment", "metric", "method", "goals", "ours", "ours_std", "ours_standard_error", "seeds", "episodes"]
-COLUMNS += ["profile", "data", "paper_table", "paper", "paper_std", "difference", "standard_error", "verdict"]
+def _of_study(params: Params, known: dict[str, pd.DataFrame], number: Any) -> Measured | None:
+    """What a study of this run says of one of the paper's numbers; None if it has no such study or sampling."""
+    study = params.studies.get(number.study)
+    wanted = {key: values.split("|") for key, values in (pair.split("=") for pair in number.values.split())}
+    if study is None or (study.env, study.of) != (number.environment, number.method) or {*study.vary} != {*wanted}:
+        return None
+    metric = next((m for m in envs.report(study.env).METRICS if m.name == number.metric), None)
+    samplings = [changes for changes, _ in params.samplings(number.study) if _among(changes, wanted)]
+    if metric is None or len(samplings) < math.prod(map(len, wanted.values())):
+        return None
+    if number.study not in known:
+        known[number.study] = read_study(number.study)
+    rows = known[number.study]
+    rows = pd.concat([rows_of(rows[rows["goals"] == number.goals], changes) for changes in samplings])
+    rows = rows.groupby(PAIRS, sort=False, as_index=False)[[metric.name]].mean()
+    return Measured(over_seeds(rows, metric), rows) if len(rows) else None
 
 
-def _beside(ours: Estimate, theirs: pd.Series) -> dict[str, float | str]:
-    difference = ours.mean - theirs["mean"]
-    error = math.hypot(ours.error, theirs["std"] / math.sqrt(theirs["seeds"]))
+def _among(changes: dict[str, Any], wanted: dict[str, list[str]]) -> bool:
+    return all(str(value) in wanted[key] for key, value in changes.items())
+
+
+def _ours(params: Params, measured: Measured, data: str) -> dict[str, Any]:
+    estimate, rows = measured
     return {
-        "paper_table": theirs["table"],
-        "paper": theirs["mean"],
-        "paper_std": theirs["std"],
-        "difference": difference,
-        "standard_error": error,
-        "verdict": verdict(difference, ours.factor * error, theirs["maximum"]),
+        "ours": estimate.mean,
+        "ours_std": estimate.deviation,
+        "ours_low": estimate.low,
+        "ours_high": estimate.high,
+        "seeds": rows["seed"].nunique(),
+        "episodes": len(rows),
+        "profile": params.profile,
+        "data": data,
     }
 
 
-def verdict(difference: float, half_width: float, maximum: float) -> str:
-    """In one word, or two, what a difference with a 95 % interval of +- half_width says.
+def _beside(ours: Estimate, number: Any) -> dict[str, float | str]:
+    std = 0.0 if math.isnan(number.std) else number.std
+    theirs = of_normal(number.mean, std, int(number.seeds))
+    if math.isnan(ours.deviation):
+        low, high = of_difference(ours, Estimate(0.0, std, -NORMAL * std, NORMAL * std))
+        ours = ours._replace(low=low, high=high)
+    low, high = of_difference(ours, theirs)
+    return {
+        "difference": ours.mean - theirs.mean,
+        "difference_low": low,
+        "difference_high": high,
+        "verdict": verdict(low, high, number.maximum),
+    }
+
+
+def verdict(low: float, high: float, maximum: float) -> str:
+    """In one word, or two, what the 95 % interval of a difference says.
 
     "better" or "worse" if the interval leaves out zero; else "same" if all of it is small, or "cannot tell".
     """
-    if abs(difference) > half_width:
-        return "better" if difference > 0 else "worse"
-    return "same" if abs(difference) + half_width <= SMALL * maximum else "cannot tell"
+    if low > 0 or high < 0:
+        return "better" if low > 0 else "worse"
+    return "same" if max(-low, high) <= SMALL * maximum else "cannot tell"

@@ -17,10 +17,18 @@ from beso.envs.protocol import Drawing
 from beso.files import replacing, write_json
 from pipeline import paths
 from pipeline.params import Params
+from pipeline.report import studies
+from pipeline.report.comparison import of_cells
 from pipeline.report.names import Names
 
 # Wong's colours, told apart with any colour vision.
 COLOURS = {"ours": "#0072B2", "held_out": "#56B4E9", "paper": "#E69F00"}
+MARKS = {  # by verdict
+    "better": ("^", COLOURS["ours"]),
+    "same": ("s", "#009E73"),
+    "worse": ("v", "#D55E00"),
+    "cannot tell": ("o", "#888888"),
+}
 METHOD_COLOURS = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#F0E442", "#000000"]
 STYLE = {"font.size": 8, "axes.spines.top": False, "axes.spines.right": False, "pdf.fonttype": 42, "savefig.dpi": 200}
 
@@ -37,38 +45,121 @@ def save(figure: Figure, folder: Path, name: str) -> None:
 CAPTIONS = "captions.json"  # beside the figures: a sentence each, in the report's order
 
 
-def draw_all(params: Params, values: dict[str, Any], folder: Path) -> None:
-    """Draw every figure into `folder`, replacing it whole.
+def draw_all(params: Params, values: dict[str, Any], folder: Path) -> dict[str, str]:
+    """Draw every figure into `folder`, replacing it whole; their captions by name.
 
     Args:
         values: from pipeline.report.gather.gather.
     """
     with replacing(folder) as temporary, matplotlib.rc_context(STYLE):
         temporary.mkdir()
-        captions = []
+        captions = {}
         for drawing in drawings(params, values):
             save(drawing.figure, temporary, drawing.name)
-            captions.append({"name": drawing.name, "caption": drawing.caption})
-        write_json(temporary / CAPTIONS, {"figures": captions})
+            captions[drawing.name] = drawing.caption
+        listed = [{"name": name, "caption": caption} for name, caption in captions.items()]
+        write_json(temporary / CAPTIONS, {"figures": listed})
+    return captions
 
 
 def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
-    """Every figure, one after another: those of each environment, its room's own among them, then the fork."""
+    """Every figure, one after another."""
     names, comparison = values["names"], values["comparison"]
+    caption = (
+        "Every number that this run and the paper both have, as a share of the largest possible one. On the line, both"
+        " agree; bars are 95 % intervals of ours, the paper's are standard deviations."
+    )
+    yield Drawing("overview", caption, overview(comparison, names))
     for name, title in names.environments.items():
         part = comparison[comparison["environment"] == name]
-        caption = f"{title}: scores beside the paper's; lines are one standard deviation."
+        caption = f"{title}: scores beside the paper's; lines are one standard deviation over seeds."
         yield Drawing(f"scores_{name}", caption, scores(params, part, names, name))
         yield from envs.report(name).drawings(values["datasets"][name], values["episodes"][name])
         caption = f"{title}: held-out loss over its first measurement, a line a seed."
         yield Drawing(f"training_{name}", caption, training_curves(params, names, name))
+    for table in values["studies"]:
+        caption = f"{table.title}; bars are 95 % intervals, diamonds the paper's numbers where it has them."
+        yield Drawing(f"study_{table.name}", caption, study(table, comparison))
     caption = "The fork, a toy: one state with two right actions, and the actions each method draws from it."
     yield Drawing("fork", caption, fork_samples(params, names))
+
+
+def overview(comparison: pd.DataFrame, names: Names) -> Figure:
+    """Ours over the paper's, a panel an environment."""
+    both = comparison[comparison["verdict"].notna() & comparison["ours"].notna()]
+    environments = [name for name in names.environments if name in set(both["environment"])]
+    figure = Figure(figsize=(1 + 2.6 * max(1, len(environments)), 3), layout="constrained")
+    axes = figure.subplots(1, max(1, len(environments)), squeeze=False)[0]
+    for axis, environment in zip(axes, environments, strict=False):
+        largest = {metric.name: metric.maximum for metric in envs.report(environment).METRICS}
+        part = both[both["environment"] == environment]
+        part = part[part["metric"].isin(largest)]
+        scale = part["metric"].map(largest)
+        axis.plot([0, 1], [0, 1], color="0.7", linewidth=1, zorder=0)
+        for verdict, (marker, colour) in MARKS.items():
+            here = part["verdict"] == verdict
+            x, y, low, high, spread = (
+                (part[column] / scale)[here] for column in ("paper", "ours", "ours_low", "ours_high", "paper_std")
+            )
+            bars = {"yerr": (y - low, high - y), "xerr": spread.fillna(0), "elinewidth": 0.5, "alpha": 0.8}
+            axis.errorbar(x, y, **bars, linestyle="none", marker=marker, color=colour, markersize=4, label=verdict)
+        axis.set(xlim=(-0.05, 1.05), ylim=(-0.05, 1.05), aspect="equal", xlabel="paper", ylabel="ours")
+        axis.set_title(names.environments[environment])
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(MARKS), frameon=False)
+    return figure
+
+
+def study(table: studies.Table, comparison: pd.DataFrame) -> Figure:
+    """A study's scores, a panel a metric: over what varies in numbers, if anything does, with a line for the rest."""
+    keys = list(table.rows[0].changes)
+    numeric = [key for key in keys if all(np.isreal(row.changes[key]) for row in table.rows)]
+    along = numeric[-1] if numeric else keys[-1]
+    place = keys.index(along)
+    ticks = list(dict.fromkeys(row.labels[place] for row in table.rows))
+    lines: dict[str, list[studies.Row]] = {}
+    for row in table.rows:
+        lines.setdefault(", ".join(label for i, label in enumerate(row.labels) if i != place), []).append(row)
+    figure = Figure(figsize=(7, 2.7), layout="constrained")
+    axes = figure.subplots(1, len(table.metrics), squeeze=False)[0]
+    theirs = comparison[comparison["study"] == table.name]
+    for axis, (i, metric) in zip(axes, enumerate(table.metrics), strict=True):
+        for n, ((label, rows), colour) in enumerate(zip(lines.items(), itertools.cycle(METHOD_COLOURS))):
+            shift = 0.5 * (n + 0.5 - len(lines) / 2) / len(lines)
+            x = np.array([ticks.index(row.labels[place]) for row in rows]) + shift
+            found = [row.scores[i].estimate for row in rows]
+            bars = ([e.mean - e.low for e in found], [e.high - e.mean for e in found])
+            style = {"marker": "o", "markersize": 3, "linewidth": 1, "elinewidth": 0.8, "capsize": 2}
+            axis.errorbar(
+                x,
+                [e.mean for e in found],
+                bars,
+                color=colour,
+                label=label,
+                linestyle="-" if numeric else "none",
+                **style,
+            )
+            papers = [_papers(theirs, metric.name, row.changes) for row in rows]
+            axis.plot(
+                x, papers, "D", color=colour if len(lines) > 1 else COLOURS["paper"], fillstyle="none", markersize=4
+            )
+        axis.set_xticks(range(len(ticks)), ticks, rotation=0 if numeric else 30, ha="center" if numeric else "right")
+        axis.set(title=metric.label, xlabel=table.varied[place] if numeric else "")
+    if len(lines) > 1:
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False)
+    return figure
+
+
+def _papers(numbers: pd.DataFrame, metric: str, changes: dict[str, Any]) -> float:
+    """The paper's number for one sampling of a study; NaN if it has none."""
+    wanted = " ".join(f"{key}={value}" for key, value in changes.items())
+    found = numbers.loc[(numbers["metric"] == metric) & (numbers["values"] == wanted), "paper"]
+    return float(found.iloc[0]) if len(found) else math.nan
 
 
 def scores(params: Params, comparison: pd.DataFrame, names: Names, environment: str) -> Figure:
     """Bars of every metric by method, ours beside the paper's; lines are standard deviations over seeds."""
     metrics, methods = envs.report(environment).METRICS, params.methods_in(environment)
+    comparison = of_cells(comparison)
     goal_sets = params.environments[environment].evaluation.goals
     figure = Figure(figsize=(7, 2.7), layout="constrained")
     axes = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]

@@ -11,9 +11,10 @@ from beso.envs.protocol import Report
 from pipeline import paths
 from pipeline.params import Params
 from pipeline.report import studies
-from pipeline.report.comparison import compare, read_episodes, source
+from pipeline.report.comparison import compare, places, read_episodes, source
 from pipeline.report.names import Names
-from pipeline.report.tables import main_methods, main_rows, number
+from pipeline.report.sheets import sheets
+from pipeline.report.tables import main_methods, main_rows, number, significant
 
 
 def gather(params: Params) -> dict[str, Any]:
@@ -28,9 +29,12 @@ def gather(params: Params) -> dict[str, Any]:
         "params": params,
         "names": names,
         "number": number,
+        "significant": significant,
         "comparison": comparison,
         "methods": main_methods(params),
         "rows": main_rows(params, comparison, names),
+        "places": list(places().itertuples()),
+        "sheets": sheets(comparison, names),
         "studies": studies.tables(params),
         "datasets": datasets,
         "episodes": episodes,

@@ -20,6 +20,33 @@ def tables(params: Params) -> list[dict[str, Any]]:
     return found
 
 
+def by_method(params: Params) -> dict[str, list[dict[str, Any]]]:
+    """The same tables, by the method's file: a variant's stand with those of the method that it changes."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for cell, table in zip(params.cells.values(), tables(params), strict=True):
+        found.setdefault(cell.of, []).append(table)
+    return found
+
+
+def shares_of_training(params: Params) -> list[dict[str, Any]]:
+    """For each environment, by method: training samples (steps times batch) here over those of the paper profile."""
+    paper, names = profile.load(profile.COMPLETE), Names(params)
+    found = []
+    for environment in params.envs:
+        shares = {
+            names.methods[method]: _samples(params, environment, method) / _samples(paper, environment, method)
+            for method in params.methods_in(environment)
+            if f"{environment}-{method}" in paper.cells
+        }
+        found.append({"environment": names.environments[environment], "shares": shares})
+    return found
+
+
+def _samples(params: Params, environment: str, method: str) -> int:
+    optimization = params.methods[method].train[environment].optimization
+    return optimization.steps * optimization.batch_size
+
+
 def _values(params: Params, environment: str, method: str) -> dict[str, str]:
     training = dataclasses.asdict(params.methods[method].train[environment])
     sampling = dataclasses.asdict(params.sampling(environment, method))

@@ -1,10 +1,12 @@
-"""reports/report.html: one self-contained page that opens offline."""
+"""reports/report.html: one self-contained page that opens offline, in the order and with the names of the paper."""
 
 import base64
 import importlib.metadata
 import platform
+import struct
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 import pandas as pd
@@ -13,8 +15,11 @@ from beso import envs
 from beso.files import read_json
 from pipeline import paths
 from pipeline.params import PATH, Params
+from pipeline.report import hyperparameters
+from pipeline.report.comparison import VERDICTS, paper_numbers
 from pipeline.report.figures import CAPTIONS
 from pipeline.report.names import Names
+from pipeline.report.sheets import other_profiles
 from pipeline.report.tables import TEMPLATES
 
 PACKAGES = (
@@ -28,6 +33,24 @@ PACKAGES = (
     "opencv-python-headless",
     "dvc",
 )
+SECONDS = "seconds"  # the metric of the paper's times
+SCALE = 0.6  # the page's pixels for one of a figure, so that figures are sharp on dense screens
+FILM_BYTES = 8e6  # of all films; with their base64 and the figures, the page stays under 15 MB
+
+
+class Picture(NamedTuple):
+    """A figure or film.
+
+    Attributes:
+        data: a data URL; None where there is none, and then the caption says why.
+        width, height: of a figure, in the page's pixels.
+    """
+
+    name: str
+    caption: str
+    data: str | None
+    width: int = 0
+    height: int = 0
 
 
 def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str:
@@ -38,38 +61,65 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
         latency: from pipeline.cells.latency.measure.
     """
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    names: Names = values["names"]
-    folder = paths.REPORTS / "figures"
-    figures = [
-        {"data": _data_url(folder / f"{figure['name']}.png", "image/png"), "caption": figure["caption"]}
-        for figure in read_json(folder / CAPTIONS)["figures"]
-    ]
+    folder, others = paths.REPORTS / "figures", other_profiles(params)
+    verdicts, numbers = values["comparison"]["verdict"].value_counts(), paper_numbers()
+    of_studies = tuple(p.subject for p in values["places"] if p.subject and p.shows in ("numbers", "study"))
+
+    def makers(starts: Iterable[str]) -> list[str]:
+        """Other profiles that run a cell or study whose name starts in one of these ways."""
+        return [name for name, has in others.items() if any(key.startswith(tuple(starts)) for key in has)]
+
     return environment.get_template("report.html.j2").render(
         **values,
-        figures=figures,
-        films=_films(params, names),
+        isna=pd.isna,
+        makers=makers,
+        verdicts={verdict: int(verdicts.get(verdict, 0)) for verdict in VERDICTS},
+        count=len(numbers),
+        seconds=numbers[numbers["metric"] == SECONDS].set_index("method")["mean"].to_dict(),
+        generated={name: dataset.meta["source"] == "scripted" for name, dataset in values["datasets"].items()},
+        placed_studies=[table.name for table in values["studies"] if table.name.startswith(of_studies)],
+        figures={
+            name: _figure(name, caption, folder / f"{name}.png")
+            for name, caption in read_json(folder / CAPTIONS).items()
+        },
+        films=_films(params, values["names"]),
+        hyperparameters=hyperparameters.by_method(params),
+        shares=hyperparameters.shares_of_training(params),
         latency=latency,
         params_text=PATH.read_text(encoding="utf-8"),
         versions=versions(),
     )
 
 
-def _films(params: Params, names: Names) -> list[dict[str, str]]:
-    films = []
-    for cell in params.films.values():
+def _figure(name: str, caption: str, path: Path) -> Picture:
+    width, height = struct.unpack(">II", path.read_bytes()[16:24])  # a PNG's first chunk begins with its size
+    return Picture(name, caption, _data_url(path, "image/png"), round(width * SCALE), round(height * SCALE))
+
+
+def _films(params: Params, names: Names) -> list[Picture]:
+    films, room = [], FILM_BYTES
+    for key, cell in params.films.items():
         path = paths.film(cell.env, cell.method) / "rollout.webm"
         row, metric = read_json(path.with_suffix(".json")), envs.report(cell.env).METRICS[-1]
         title = f"{names.methods[cell.method]} in {names.environments[cell.env]}"
         if "no_film" in row:
-            films.append({"data": "", "caption": f"{title}: no film. {row['no_film']}"})
+            films.append(Picture(key, f"{title}: no film. {row['no_film']}", None))
             continue
         caption = (
             f"{title}: seed {row['seed']}, episode {row['episode']}, {metric.label.lower()} {row[metric.name]:g} after"
             f" {row['length']} actions"
         )
-        films.append({"data": _data_url(path, "video/webm"), "caption": caption})
+        room -= path.stat().st_size
+        if room < 0:
+            films.append(Picture(key, f"{caption}. The page has no room for it: {path}", None))
+        else:
+            films.append(Picture(key, caption, _data_url(path, "video/webm")))
     return films
 
 

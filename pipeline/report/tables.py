@@ -9,6 +9,7 @@ import pandas as pd
 
 from beso import envs
 from pipeline.params import Params
+from pipeline.report.comparison import of_cells
 from pipeline.report.names import Names
 
 TEMPLATES = Path("reports/templates")
@@ -39,7 +40,7 @@ def main_methods(params: Params) -> list[str]:
 
 def main_rows(params: Params, comparison: pd.DataFrame, names: Names) -> list[dict[str, Any]]:
     """Rows of the main table: environment, metric, whose numbers, and a cell `mean (+- std)` a method."""
-    rows = []
+    rows, comparison = [], of_cells(comparison)
     for environment in params.envs:
         goal_sets = params.environments[environment].evaluation.goals
         part = comparison[comparison["environment"] == environment]
@@ -65,9 +66,18 @@ def main_rows(params: Params, comparison: pd.DataFrame, names: Names) -> list[di
 
 
 def number(value: float | None, decimals: int = 2) -> str:
-    """A number for a table; a dash where there is none."""
+    """A score for a table; a dash where there is none."""
     if value is None or math.isnan(value):
         return "--"
-    if float(value).is_integer() and abs(value) >= 10:
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"  # + 0.0: no minus before a zero
+
+
+def significant(value: float | None, digits: int = 4) -> str:
+    """Any quantity for a table: whole numbers as they are, others with some significant digits; a dash for none."""
+    if value is None or math.isnan(value):
+        return "--"
+    if float(value).is_integer():
         return f"{int(value):,}"
-    return f"{value:.{decimals}f}"
+    decimals = digits - 1 - math.floor(math.log10(abs(value)))
+    text = f"{value:,.{max(decimals, 0)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text

@@ -17,20 +17,63 @@ from pipeline.cells.film import write_video
 
 def test_comparison_has_every_cell_and_follows_from_the_rows(finished):
     table = pd.read_csv(finished.folder / "reports/comparison.csv")
-    keys = table[["environment", "metric", "method", "goals"]].drop_duplicates()
-    assert len(keys) == len(table) == len(envs.names()) * 2 * len(methods.names()) * 2  # metrics, goal sets
-    for row in table.itertuples():
+    ours = table[table["ours"].notna() & (table["place"] != "Text")]
+    keys = ours[["environment", "metric", "method", "goals"]].drop_duplicates()
+    assert len(keys) == len(ours) == len(envs.names()) * 2 * len(methods.names()) * 2  # metrics, goal sets
+    for row in ours.itertuples():
         rows = pd.read_csv(finished.folder / f"results/{row.environment}/{row.method}.csv")
         rows = rows[rows["goals"] == row.goals]
         by_seed = [part[row.metric].sum() / len(part) for _, part in rows.groupby("seed")]
         assert row.ours == pytest.approx(np.mean(by_seed), abs=1e-6)
         if len(by_seed) > 1:
             assert row.ours_std == pytest.approx(np.std(by_seed, ddof=1), abs=1e-6)
+        assert row.ours_low <= row.ours <= row.ours_high
         assert (row.seeds, row.episodes) == (len(by_seed), len(rows))
-    assert set(table["seeds"]) == {1, 2}  # of the kitchen and of block push in this profile
-    beside = table[table["goals"] == "training"]
-    assert beside[["paper", "difference", "standard_error", "verdict"]].notna().all(axis=None)
-    assert table["data"].eq("scripted demonstrations made here").all()
+    assert set(ours["seeds"]) == {1, 2}  # of the kitchen and of block push in this profile
+    beside = ours[ours["goals"] == "training"]
+    assert beside[["paper", "difference", "difference_low", "difference_high", "verdict"]].notna().all(axis=None)
+    assert beside["difference"].between(beside["difference_low"], beside["difference_high"]).all()
+    assert ours["data"].eq("scripted demonstrations made here").all()
+
+
+def test_comparison_has_every_number_of_the_paper_with_a_verdict(finished):
+    table = pd.read_csv(finished.folder / "reports/comparison.csv")
+    numbers = table[table["place"].notna()]
+    assert len(numbers) == 195
+    measured = 32 + 2  # the main table, and two of its numbers again in the text
+    assert numbers["verdict"].value_counts()[["not run", "timed apart"]].tolist() == [195 - measured - 2, 2]
+    assert (numbers["verdict"] == "not run").sum() == numbers.loc[numbers["environment"].notna(), "ours"].isna().sum()
+
+
+def test_a_study_stands_beside_the_papers_numbers(workspace):
+    """Table II is the mean of two samplings; the same samplers as the cell's own give its own number in Table IV."""
+    block = {"env": "block_push", "method": "c_beso", "of": "c_beso"}
+    studies = {
+        "noise_block_push": {"sampler": ["euler", "dpmpp_2s", "euler_ancestral"]},
+        "schedules_block_push": {"schedule": ["exponential", "vp"]},
+        "samplers_block_push": {"sampler": ["ddim"], "steps": [3], "sigma_max": [1.0]},
+    }
+    workspace.set("studies", {name: block | {"vary": vary} for name, vary in studies.items()})
+    for name in studies:
+        workspace.python("-m", "stages.study", name)
+    workspace.python("-m", "stages.tables")
+    workspace.python("-m", "stages.page")
+    table = pd.read_csv(workspace.folder / "reports/comparison.csv")
+    noise = pd.read_csv(workspace.folder / "results/studies/noise_block_push.csv")
+    part = noise[(noise["goals"] == "training") & noise["sampler"].isin(["euler", "dpmpp_2s"])]
+    row = table[(table["study"] == "noise_block_push") & (table["metric"] == "result")].iloc[0]
+    assert row["ours"] == pytest.approx(part["result"].mean(), abs=1e-6)
+    assert (row["episodes"], row["column"]) == (len(part) / 2, "Deterministic")
+    stochastic = table[(table["study"] == "noise_block_push") & (table["column"] == "Stochastic")]
+    assert stochastic["verdict"].eq("not run").all(), "one of two samplers is missing"
+    own = table[(table["place"] == "Table I") & (table["method"] == "c_beso") & (table["metric"] == "result")].iloc[0]
+    schedules = table[(table["study"] == "schedules_block_push") & (table["metric"] == "result")].set_index("row")
+    assert schedules.loc["Exponential", "ours"] == own["ours"]
+    assert schedules["verdict"].ne("not run").tolist() == [True, False, False, False, False, True]
+    assert table.loc[table["study"] == "samplers_block_push", "verdict"].eq("not run").all(), "it varies more"
+    page = (workspace.folder / "reports/report.html").read_text()
+    assert "Noise: C-BESO in Block-Push" in page
+    assert "Euler, ancestral" in page
 
 
 def test_tables_put_ours_beside_the_papers(finished):
@@ -77,7 +120,7 @@ class Links(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         self.sources += [value for name, value in attributes if name in ("src", "href", "srcset", "data")]
-        if tag not in ("meta", "img", "link", "br"):
+        if tag not in ("meta", "img", "link", "br", "input"):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
@@ -90,12 +133,14 @@ def test_page_is_whole_and_needs_nothing_else(finished):
     links.feed(page)
     assert links.open == []
     assert links.sources
-    assert all(source.startswith("data:") for source in links.sources)
+    assert all(source.startswith(("data:", "#")) for source in links.sources)
+    assert "default-src 'none'" in page
     assert "url(" not in page
     assert "@import" not in page
     for text in (
-        "Main results",
-        "Comparison",
+        "Table VIII",
+        "Figure 5",
+        "All numbers",
         "Studies",
         "Play data",
         "Latency",
@@ -172,4 +217,4 @@ def test_studies_have_a_row_an_episode_and_sampling_from_the_same_starts(finishe
     # The first sampling is the cell's own, and so are its rows.
     cell = pd.read_csv(finished.folder / "results/block_push/c_beso.csv")
     assert parts[0].equals(cell)
-    assert "Study solvers block push: C-BESO" in (finished.folder / "reports/tables.tex").read_text()
+    assert "Study. Solvers: C-BESO in Block-Push" in (finished.folder / "reports/tables.tex").read_text()
