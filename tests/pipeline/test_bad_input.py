@@ -110,7 +110,7 @@ def test_unknown_names(workspace):
         assert unknown in stage(workspace, name, "moon", "gcbc")
         assert "params.yaml has no cell block_push-sac: block_push-gcbc" in stage(workspace, name, "block_push", "sac")
     assert unknown in stage(workspace, "collect", "moon")
-    assert "study 'moons' is not in params.yaml: solvers_block_push" in stage(workspace, "study", "moons")
+    assert "study 'moons' is not in params.yaml: samplers_block_push" in stage(workspace, "study", "moons")
 
 
 def test_results_of_other_parameters_are_not_published(workspace):

@@ -209,12 +209,14 @@ def test_watch_films_an_episode_of_the_evaluation(finished, tmp_path):
 
 
 def test_studies_have_a_row_an_episode_and_sampling_from_the_same_starts(finished):
-    rows = pd.read_csv(finished.folder / "results/studies/solvers_block_push.csv")
-    assert rows["sampler"].unique().tolist() == ["ddim", "heun"]
-    parts = [part.drop(columns="sampler").reset_index(drop=True) for _, part in rows.groupby("sampler")]
+    rows = pd.read_csv(finished.folder / "results/studies/samplers_block_push.csv")
+    varied = ["sampler", "steps"]
+    parts = {key: part.drop(columns=varied).reset_index(drop=True) for key, part in rows.groupby(varied)}
+    assert parts.keys() == {("ddim", 2), ("ddim", 3), ("heun", 2), ("heun", 3)}
     same = ["seed", "goals", "episode", "goal_demonstration", "goal_tasks"]
-    assert parts[0][same].equals(parts[1][same])
-    # The first sampling is the cell's own, and so are its rows.
+    assert all(part[same].equals(parts["ddim", 3][same]) for part in parts.values())
+    # One sampling is the cell's own, and so are its rows: a rollout a seed, with training goals.
     cell = pd.read_csv(finished.folder / "results/block_push/c_beso.csv")
-    assert parts[0].equals(cell)
-    assert "Study. Solvers: C-BESO in Block-Push" in (finished.folder / "reports/tables.tex").read_text()
+    cell = cell[(cell["goals"] == "training") & (cell["episode"] == 0)].reset_index(drop=True)
+    assert parts["ddim", 3].equals(cell)
+    assert "Study. Samplers: C-BESO in Block-Push" in (finished.folder / "reports/tables.tex").read_text()
