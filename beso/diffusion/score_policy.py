@@ -35,6 +35,7 @@ class DiffusionConfig:
         sigma_data: the data's standard deviation, for the preconditioning.
         sigma_min, sigma_max: range of noise levels.
         density: name in densities.DENSITIES, with its location and scale.
+        action_range: actions are diffused within [-action_range, action_range].
     """
 
     sigma_data: float
@@ -43,8 +44,10 @@ class DiffusionConfig:
     density: str
     location: float
     scale: float
+    action_range: float
 
     def __post_init__(self) -> None:
+        require(self.action_range > 0, f"action_range = {self.action_range}: must be above 0")
         require(self.sigma_data > 0, f"sigma_data = {self.sigma_data}: must be above 0")
         _check_range(self.sigma_min, self.sigma_max)
         require_name(self, "density", DENSITIES)
@@ -158,7 +161,8 @@ class ScorePolicy(nn.Module, Policy):
         sigma ~ p_train, one a window; eps ~ N(0, sigma^2); the squared error of D against the clean actions with the
         weight alpha(sigma) = 1 / c_out^2, as a mean over samples, steps and dimensions.
         """
-        clean, config = batch.actions, self.diffusion
+        config = self.diffusion
+        clean = config.action_range * batch.actions
         dropout = generator if self.training else None
         uniform = torch.rand(len(clean), generator=generator, device=clean.device, dtype=torch.float64)
         density = DENSITIES[config.density]
@@ -201,6 +205,7 @@ class ScorePolicy(nn.Module, Policy):
         from beso.diffusion.samplers import SAMPLERS
 
         batch, previous = len(observations), actions.shape[1]
+        actions = self.diffusion.action_range * actions
         guided = self.guidance_scale not in (0.0, 1.0)
         if self.guidance_scale == 0:
             goal = self.without_goal(goal)
@@ -227,4 +232,5 @@ class ScorePolicy(nn.Module, Policy):
             a = torch.cat([actions[:batch], a], dim=1)
         noise_steps = 1 if alone else previous + 1
         sampler = SAMPLERS[self.sampling.sampler]
-        return sampler(denoise, a, sigmas, lambda: noise.normal(noise_steps, action_size))[:, -1]
+        sampled = sampler(denoise, a, sigmas, lambda: noise.normal(noise_steps, action_size))
+        return sampled[:, -1] / self.diffusion.action_range

@@ -25,6 +25,7 @@ DIFFUSION = {
     "density": "log_logistic",
     "location": -0.6931471805599453,
     "scale": 0.5,
+    "action_range": 1.0,
 }
 SAMPLING = {
     "sampler": "ddim",

@@ -18,7 +18,7 @@ from beso.noise import BatchNoise, EpisodeNoise
 
 B, T, O, A, G = 5, 3, 4, 2, 1  # noqa: E741 (the letters of the docstrings)
 SIGMA_DATA, STD = 0.5, 0.3
-DIFFUSION = DiffusionConfig(SIGMA_DATA, 0.05, 1.0, "log_logistic", math.log(0.5), 0.5)
+DIFFUSION = DiffusionConfig(SIGMA_DATA, 0.05, 1.0, "log_logistic", math.log(0.5), 0.5, 1.0)
 
 
 CONTEXTS = ("clean", "published", "renoised")
@@ -118,7 +118,7 @@ def test_loss_is_the_papers_weighted_denoising_error():
 
 def test_loss_of_the_optimal_network_is_the_irreducible_error():
     """For N(m, s^2): E|D - a|^2 = s^2 sigma^2 / (s^2 + sigma^2) an element."""
-    diffusion = DiffusionConfig(SIGMA_DATA, 0.2, 0.2 + 1e-9, "uniform", 0.0, 1.0)
+    diffusion = DiffusionConfig(SIGMA_DATA, 0.2, 0.2 + 1e-9, "uniform", 0.0, 1.0, 1.0)
     generator, count = torch.Generator().manual_seed(0), 20_000
     goal = torch.randn(count, 1, O, generator=generator)
     actions = goal[:, :, :A] + STD * torch.randn(count, T, A, generator=generator)
@@ -284,6 +284,28 @@ def test_an_episodes_action_does_not_depend_on_its_neighbours():
     assert torch.allclose(together[rows], alone, atol=1e-5)
 
 
+class LevelBlind(nn.Module):
+    """A network that is not told the noise level."""
+
+    def __init__(self):
+        super().__init__()
+        self.inner = transformer()
+
+    def forward(self, actions, noise_level, *arguments, **keywords):
+        return self.inner(actions, torch.zeros_like(noise_level), *arguments, **keywords)
+
+
+def test_a_wider_range_of_actions_with_as_much_wider_noise_changes_nothing_but_the_level():
+    found = []
+    for width in (1.0, 3.0):
+        config = DiffusionConfig(0.5 * width, 0.05 * width, width, "uniform", 0.0, 1.0, width)
+        chosen = DiffusionSampling("euler_ancestral", "exponential", 4, 0.05 * width, width, "clean", None)
+        policy = ScorePolicy(LevelBlind(), config, chosen).eval()
+        found.append((policy.loss(batch(), torch.Generator().manual_seed(1)), act(policy)))
+    assert torch.allclose(found[0][0], found[1][0], rtol=1e-4)
+    assert torch.allclose(found[0][1], found[1][1], atol=1e-4)
+
+
 # Configuration
 
 
@@ -294,10 +316,12 @@ def test_an_episodes_action_does_not_depend_on_its_neighbours():
         ({"sigma_min": 1.0}, "sigma_min = 1.0"),
         ({"sigma_min": 0.0}, "sigma_min = 0.0"),
         ({"scale": 0.0}, "scale = 0.0"),
+        ({"action_range": 0.0}, "action_range = 0.0"),
     ],
 )
 def test_impossible_training_noise_is_refused(changes, message):
-    values = {"sigma_data": 0.5, "sigma_min": 0.05, "sigma_max": 1.0, "density": "uniform", "location": 0.0, "scale": 1}
+    values = {"sigma_data": 0.5, "sigma_min": 0.05, "sigma_max": 1.0, "density": "uniform", "location": 0.0}
+    values |= {"scale": 1.0, "action_range": 1.0}
     with pytest.raises(ValueError, match=message):
         DiffusionConfig(**{**values, **changes})
 
