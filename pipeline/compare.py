@@ -105,7 +105,7 @@ def load(name: str) -> Run:
     for key, study in params.get("studies", {}).items():
         if (rows := _csv(files, paths.study(key))) is not None:
             for values, part in rows.groupby(list(study["vary"]), sort=False, dropna=False):
-                changes = ", ".join(map(value, values))
+                changes = ", ".join(value(None if pd.isna(v) else v) for v in values)
                 episodes[Source(study["env"], study["method"], f"{key}: {changes}")] = part
     summary = _csv(files, paths.REPORTS / COMPARISON)
     summary = _csv(files, Path(COMPARISON)) if summary is None else summary

@@ -112,7 +112,7 @@ def overview(comparison: pd.DataFrame, names: Names) -> Figure:
 def study(table: studies.Table, comparison: pd.DataFrame) -> Figure:
     """A study's scores, a panel a metric: over what varies in numbers, if anything does, with a line for the rest."""
     keys = list(table.rows[0].changes)
-    numeric = [key for key in keys if all(np.isreal(row.changes[key]) for row in table.rows)]
+    numeric = [key for key in keys if all(pd.api.types.is_number(row.changes[key]) for row in table.rows)]
     along = numeric[-1] if numeric else keys[-1]
     place = keys.index(along)
     ticks = list(dict.fromkeys(row.labels[place] for row in table.rows))

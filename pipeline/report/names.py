@@ -16,7 +16,9 @@ VALUES = {
     "euler_ancestral": "Euler, ancestral",
     "iddpm": "IDDPM",
     "ve": "VE",
+    "ve_published": "VE, as published",
     "vp": "VP",
+    "vp_published": "VP, as published",
 }
 
 

@@ -205,7 +205,9 @@ def test_a_variant_is_parameters_alone(workspace):
     assert [stage for stage in workspace.repro() if "@" in stage] == cells
     assert changed(workspace) == set()
     comparison = pd.read_csv(workspace.folder / "reports/comparison.csv")
-    assert len(comparison[comparison["method"] == "c_beso_film"]) == 2 * 2  # metrics, goal sets
+    ours = comparison[(comparison["method"] == "c_beso_film") & comparison["ours"].notna()]
+    assert len(ours) == 2 * 2  # metrics, goal sets
+    assert ours["row"].dropna().tolist() == ["FiLM conditioning"]  # a number of the paper's text
     # A change of the method it changes reaches the variant too.
     workspace.set("methods.c_beso.sample.block_push.steps", 4)
     ran = workspace.repro()
