@@ -13,6 +13,8 @@ from beso.errors import CannotDrawError
 from pipeline import params, profile
 from pipeline.cells import film
 from pipeline.cells.film import write_video
+from pipeline.report import page
+from pipeline.report.gather import gather
 
 
 def test_comparison_has_every_cell_and_follows_from_the_rows(finished):
@@ -136,16 +138,16 @@ class Links(HTMLParser):
 
 
 def test_page_is_whole_and_needs_nothing_else(finished):
-    page = (finished.folder / "reports/report.html").read_text()
+    text = (finished.folder / "reports/report.html").read_text()
     links = Links()
-    links.feed(page)
+    links.feed(text)
     assert links.open == []
     assert links.sources
     assert all(source.startswith(("data:", "#")) for source in links.sources)
-    assert "default-src 'none'" in page
-    assert "url(" not in page
-    assert "@import" not in page
-    for text in (
+    assert "default-src 'none'" in text
+    assert "url(" not in text
+    assert "@import" not in text
+    for part in (
         "Table VIII",
         "Figure 5",
         "All numbers",
@@ -157,8 +159,8 @@ def test_page_is_whole_and_needs_nothing_else(finished):
         "scripted",
         "0.96",
     ):
-        assert text in page
-    assert len(page) < 15e6
+        assert part in text
+    assert len(text) < 15e6
 
 
 def test_latency_is_measured_for_every_method_at_the_papers_size(finished):
@@ -198,8 +200,17 @@ def test_a_machine_that_cannot_draw_says_so_on_the_page(workspace, monkeypatch):
     monkeypatch.setattr(film, "film_episode", cannot_draw)
     film.film_cell(params.load(), "kitchen", "c_beso")
     workspace.python("-m", "stages.page")
-    page = (workspace.folder / "reports/report.html").read_text()
-    assert "C-BESO in Relay Kitchen: no film. there is no pencil" in page
+    text = (workspace.folder / "reports/report.html").read_text()
+    assert "C-BESO in Relay Kitchen: no film. there is no pencil" in text
+
+
+def test_films_that_the_page_has_no_room_for_are_named(finished, monkeypatch):
+    monkeypatch.chdir(finished.folder)
+    monkeypatch.setattr(page, "FILM_BYTES", 0)
+    given = params.load()
+    text = page.render(given, gather(given), pd.read_csv("results/latency.csv"))
+    assert "The page has no room for it: films/block_push/c_beso/rollout.webm" in text
+    assert "<video" not in text
 
 
 def test_watch_films_an_episode_of_the_evaluation(finished, tmp_path):
