@@ -67,6 +67,11 @@ def test_zeros_alone_do_not_prove_a_zero():
     assert of_four.high == pytest.approx(4 * estimate.high)
 
 
+def test_scores_may_exceed_the_maximum():
+    estimate = over_seeds(rows([[4.0, 5.0] * 20]), Metric("reward", "Reward", 4.0))
+    assert estimate.low < estimate.mean == 4.5 < estimate.high
+
+
 def test_seeds_that_agree_by_chance_keep_the_width_of_their_episodes():
     agreeing = over_seeds(rows([[0.0, 1.0] * 50] * 10), RESULT)
     assert agreeing.deviation == 0
