@@ -68,7 +68,7 @@ def test_zeros_alone_do_not_prove_a_zero():
 
 
 def test_scores_may_exceed_the_maximum():
-    estimate = over_seeds(rows([[4.0, 5.0] * 20]), Metric("reward", "Reward", 4.0))
+    estimate = over_seeds(rows([[4.0, 5.0] * 20]), Metric("result", "Result", 4.0))
     assert estimate.low < estimate.mean == 4.5 < estimate.high
 
 
