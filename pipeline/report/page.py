@@ -85,8 +85,8 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
         generated={name: dataset.meta["source"] == "scripted" for name, dataset in values["datasets"].items()},
         placed_studies=[table.name for table in values["studies"] if table.name.startswith(of_studies)],
         figures={
-            name: _figure(name, caption, folder / f"{name}.png")
-            for name, caption in read_json(folder / CAPTIONS).items()
+            drawn["name"]: _figure(drawn["name"], drawn["caption"], folder / f"{drawn['name']}.png")
+            for drawn in read_json(folder / CAPTIONS)["figures"]
         },
         films=_films(params, values["names"]),
         hyperparameters=hyperparameters.by_method(params),
