@@ -4,8 +4,8 @@ paper.csv has every number of the paper's tables and text. Its columns:
 
     place, row, column   where the number stands: a label of places.csv, and the table's own row and column
     environment, goals, metric, method   what was measured; no environment: time, which differs from run to run
-    study, values        which study of params.yaml gives ours, and which of its samplings (`sampler=euler|heun
-                         steps=3`; of several values, the mean); no study: the cell's own evaluation does
+    study, values        which study of params.yaml gives ours (`this|or_else_this`), and which of its samplings
+                         (`sampler=euler|heun steps=3`; of several values, the mean); no study: the cell's evaluation
     mean, std, seeds     as printed; no std: the paper gives none
     maximum              the metric's largest value
 """
@@ -104,9 +104,13 @@ def compare(params: Params) -> pd.DataFrame:
     rows, beside = [], set()
     for number in paper_numbers().itertuples():
         key = (number.environment, number.metric, number.method, number.goals)
-        measured = _of_study(params, known, number) if number.study else cells.get(key)
         row = {name: getattr(number, name) for name in COLUMNS[1:9]} | {"place": named[number.place]}
         row |= {"paper": number.mean, "paper_std": number.std}
+        if number.study:
+            found = {name: _of_study(params, known, name, number) for name in number.study.split("|")}
+            row["study"], measured = next(((n, m) for n, m in found.items() if m), (number.study, None))
+        else:
+            measured = cells.get(key)
         if measured is None:
             row["verdict"] = NOT_RUN if number.environment else TIMED
         else:
@@ -142,20 +146,20 @@ def _cells(params: Params) -> dict[Key, Measured]:
     return found
 
 
-def _of_study(params: Params, known: dict[str, pd.DataFrame], number: Any) -> Measured | None:
+def _of_study(params: Params, known: dict[str, pd.DataFrame], name: str, number: Any) -> Measured | None:
     """What a study of this run says of one of the paper's numbers; None if it has no such study or sampling."""
-    study = params.studies.get(number.study)
+    study = params.studies.get(name)
     wanted = {key: values.split("|") for key, values in (pair.split("=") for pair in number.values.split())}
     if study is None or (study.env, study.of) != (number.environment, number.method) or {*study.vary} != {*wanted}:
         return None
     metric = next((m for m in envs.report(study.env).METRICS if m.name == number.metric), None)
-    samplings = [changes for changes, _ in params.samplings(number.study) if _among(changes, wanted)]
+    samplings = [changes for changes, _ in params.samplings(name) if _among(changes, wanted)]
     if metric is None or len(samplings) < math.prod(map(len, wanted.values())):
         return None
-    if number.study not in known:
-        known[number.study] = read_study(number.study)
-    rows = known[number.study]
-    rows = pd.concat([rows_of(rows[rows["goals"] == number.goals], changes) for changes in samplings])
+    if name not in known:
+        known[name] = read_study(name)
+    rows = known[name][known[name]["goals"] == number.goals]
+    rows = pd.concat([rows_of(rows, changes) for changes in samplings])
     rows = rows.groupby(PAIRS, sort=False, as_index=False)[[metric.name]].mean()
     return Measured(over_seeds(rows, metric), rows) if len(rows) else None
 

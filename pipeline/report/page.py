@@ -69,7 +69,11 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
     )
     folder, others = paths.REPORTS / "figures", other_profiles(params)
     verdicts, numbers = values["comparison"]["verdict"].value_counts(), paper_numbers()
-    of_studies = tuple(p.subject for p in values["places"] if p.subject and p.shows in ("numbers", "study"))
+    studies_at = {
+        place.name: [table for table in values["studies"] if table.name.startswith(tuple(place.subject.split()))]
+        for place in values["places"]
+        if place.shows in ("numbers", "study")
+    }
 
     def makers(starts: Iterable[str]) -> list[str]:
         """Other profiles that run a cell or study whose name starts in one of these ways."""
@@ -83,7 +87,8 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
         count=len(numbers),
         seconds=numbers[numbers["metric"] == SECONDS].set_index("method")["mean"].to_dict(),
         generated={name: dataset.meta["source"] == "scripted" for name, dataset in values["datasets"].items()},
-        placed_studies=[table.name for table in values["studies"] if table.name.startswith(of_studies)],
+        studies_at=studies_at,
+        placed=[table.name for tables in studies_at.values() for table in tables],
         figures={
             drawn["name"]: _figure(drawn["name"], drawn["caption"], folder / f"{drawn['name']}.png")
             for drawn in read_json(folder / CAPTIONS)["figures"]

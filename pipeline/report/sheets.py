@@ -24,12 +24,14 @@ class Sheet(NamedTuple):
     Attributes:
         columns: their heads.
         lines: rows of which this run has something.
+        studies: those that ours are of.
         missing: heads of the others.
         wanted: the cells and studies that those are of.
     """
 
     columns: list[str]
     lines: list[Line]
+    studies: list[str]
     missing: list[str]
     wanted: set[str]
 
@@ -40,21 +42,22 @@ def sheets(comparison: pd.DataFrame, names: Names) -> dict[str, Sheet]:
     others = comparison[comparison["place"].isna()]
     for name, part in comparison[comparison["place"].notna()].groupby("place", sort=False):
         columns = list(dict.fromkeys(part["column"]))
-        sheet = found[name] = Sheet(columns, [], [], set())
+        studies = part.loc[part["ours"].notna(), "study"].dropna().unique().tolist()
+        sheet = found[name] = Sheet(columns, [], studies, [], set())
         for head, of_row in part.groupby("row", sort=False):
             cells = {row.column: row for row in of_row.itertuples()}
             if (of_row["verdict"] == NOT_RUN).all():
                 sheet.missing.append(head)
-                sheet.wanted.update(_source(cell) for cell in cells.values())
+                sheet.wanted.update(*map(_sources, cells.values()))
             else:
                 line = Line(head, [cells.get(column) for column in columns])
                 sheet.lines.extend([line, *_other_goals(line, others, names)])
     return found
 
 
-def _source(row: Any) -> str:
-    """The cell or study, as params.yaml names it, that a row of the comparison is of."""
-    return f"{row.environment}-{row.method}" if pd.isna(row.study) else row.study
+def _sources(row: Any) -> list[str]:
+    """The cell or studies, as params.yaml names them, that a row of the comparison is or would be of."""
+    return [f"{row.environment}-{row.method}"] if pd.isna(row.study) else row.study.split("|")
 
 
 def _other_goals(line: Line, others: pd.DataFrame, names: Names) -> list[Line]:
