@@ -103,7 +103,8 @@ def overview(comparison: pd.DataFrame, names: Names) -> Figure:
             )
             bars = {"yerr": (y - low, high - y), "xerr": spread.fillna(0), "elinewidth": 0.5, "alpha": 0.8}
             axis.errorbar(x, y, **bars, linestyle="none", marker=marker, color=colour, markersize=4, label=verdict)
-        axis.set(xlim=(-0.05, 1.05), ylim=(-0.05, 1.05), aspect="equal", xlabel="paper", ylabel="ours")
+        top = 0.05 + max(1.0, (part["ours"] / scale).max(), (part["paper"] / scale).max())  # scores may exceed 1
+        axis.set(xlim=(-0.05, top), ylim=(-0.05, top), aspect="equal", xlabel="paper", ylabel="ours")
         axis.set_title(names.environments[environment])
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(MARKS), frameon=False)
     return figure
@@ -143,7 +144,7 @@ def study(table: studies.Table, comparison: pd.DataFrame) -> Figure:
                 x, papers, "D", color=colour if len(lines) > 1 else COLOURS["paper"], fillstyle="none", markersize=4
             )
         axis.set_xticks(range(len(ticks)), ticks, rotation=0 if numeric else 30, ha="center" if numeric else "right")
-        axis.set(title=metric.label, xlabel=table.varied[place] if numeric else "")
+        axis.set(title=metric.label, xlabel=table.varied[place] if numeric else "", xlim=(-0.5, len(ticks) - 0.5))
     if len(lines) > 1:
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False)
     return figure

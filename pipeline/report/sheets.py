@@ -70,7 +70,8 @@ def _other_goals(line: Line, others: pd.DataFrame, names: Names) -> list[Line]:
     for goals, part in others.groupby("goals", sort=False):
         cells = {row.method: row for row in part.itertuples()}
         shown = [cells.get(cell.method) if cell else None for cell in line.cells]
-        lines.append(Line(f"{line.head}, {names.goals(first.environment, goals)}", shown))
+        if any(shown):  # not of a variant alone
+            lines.append(Line(f"{line.head}, {names.goals(first.environment, goals)}", shown))
     return lines
 
 
