@@ -93,25 +93,40 @@ def load(name: str) -> Run:
     text = files.read(PATH)
     if text is None:
         raise UserError(f"{name}: no {PATH} there, so no run")
-    params = parse_yaml(text, f"{name}: {PATH}")
-    episodes: dict[Source, pd.DataFrame] = {}
-    known, order = envs.names(), list(params["methods"])
-    for path in sorted(
-        files.find("results/*/*.csv"), key=lambda path: order.index(path.stem) if path.stem in order else 0
-    ):
-        environment, method = path.parent.name, path.stem
-        if environment in known and (rows := _csv(files, path)) is not None:
-            episodes[Source(environment, method, "")] = rows
-    for key, study in params.get("studies", {}).items():
-        if (rows := _csv(files, paths.study(key))) is not None:
-            for values, part in rows.groupby(list(study["vary"]), sort=False, dropna=False):
-                changes = ", ".join(value(None if pd.isna(v) else v) for v in values)
-                episodes[Source(study["env"], study["method"], f"{key}: {changes}")] = part
+    params = parse_yaml(text, f"{name}: {PATH}") or {}
+    if "methods" not in params:
+        raise UserError(f"{name}: {PATH} there names no methods, so it is no run's")
+    episodes = {**_cells(files, params), **_studies(files, params)}
     summary = _csv(files, paths.REPORTS / COMPARISON)
     summary = _csv(files, Path(COMPARISON)) if summary is None else summary
     if not episodes and not _estimates(summary):
         raise UserError(f"{name}: no results there: run `dvc repro`, or `dvc pull` for those of a revision")
     return Run(params, episodes, _estimates(summary))
+
+
+def _cells(files: Files, params: dict[str, Any]) -> dict[Source, pd.DataFrame]:
+    """Rows of evaluation, in the order of the parameters' methods; what they no longer name is left over."""
+    methods = list(params["methods"])
+    found = [
+        path for path in files.find("results/*/*.csv") if path.parent.name in envs.names() and path.stem in methods
+    ]
+    sources = {Source(path.parent.name, path.stem, ""): path for path in found}
+    if "cells" in params:  # archives of older versions have a grid instead
+        sources = {s: path for s, path in sources.items() if f"{s.environment}-{s.method}" in params["cells"]}
+    ordered = sorted(sources, key=lambda source: (source.environment, methods.index(source.method)))
+    return {s: rows for s in ordered if (rows := _csv(files, sources[s])) is not None}
+
+
+def _studies(files: Files, params: dict[str, Any]) -> dict[Source, pd.DataFrame]:
+    """Rows of studies, sampling by sampling."""
+    found = {}
+    for name, study in params.get("studies", {}).items():
+        rows, varied = _csv(files, paths.study(name)), list(study["vary"])
+        if rows is not None and {*varied} <= {*rows.columns}:
+            for values, part in rows.groupby(varied, sort=False, dropna=False):
+                changes = ", ".join(value(None if pd.isna(v) else v) for v in values)
+                found[Source(study["env"], study["method"], f"{name}: {changes}")] = part
+    return found
 
 
 def _folder(folder: Path) -> Files:
@@ -202,7 +217,8 @@ def same(first: Run, second: Run) -> bool:
             rows.reset_index(drop=True).equals(second.episodes[source].reset_index(drop=True))
             for source, rows in first.episodes.items()
         )
-    return first.summary == second.summary
+    a, b = ({key: (e.mean, e.low, e.high) for key, e in run.summary.items()} for run in (first, second))
+    return a == b
 
 
 def report(names: tuple[str, str], runs: tuple[Run, Run], markdown: bool) -> str:

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -118,12 +120,41 @@ def test_what_is_no_run_is_one_line(name):
         compare.load(name)
 
 
+def test_other_parameters_are_no_runs(tmp_path):
+    (tmp_path / "params.yaml").write_text("seed: 0\n")
+    with pytest.raises(UserError, match="names no methods"):
+        compare.load(str(tmp_path))
+
+
 def test_runs_without_results_or_anything_in_common_are_one_line(run, tmp_path):
     a, b = run("a", {"gcbc": episodes(0.5)}), run("b", {"c_beso": episodes(0.5)})
     with pytest.raises(UserError, match="no cell in common"):
         told(a, b)
     with pytest.raises(UserError, match="no results there"):
         compare.load(run("c", {}))
+
+
+def test_a_comparison_stands_for_missing_episodes(run):
+    def summarised(name, mean, half):
+        folder = Path(run(name, {}))
+        (folder / "reports").mkdir()
+        row = {"environment": "block_push", "metric": "result", "method": "gcbc", "goals": "training", "ours": mean}
+        row |= {"ours_std": None, "ours_low": mean - half, "ours_high": mean + half, "study": None}
+        pd.DataFrame([row]).to_csv(folder / "reports/comparison.csv", index=False)
+        return str(folder)
+
+    a, b, c = summarised("a", 0.5, 0.1), summarised("b", 0.5, 0.1), summarised("c", 0.9, 0.05)
+    assert told(a, b).startswith("A and B do not differ: the same means")
+    line = lines(a, c)["gcbc", "", "training", "result"]
+    assert (line.change.low, line.change.high) == pytest.approx((0.4 - 0.1118, 0.4 + 0.1118), abs=1e-4)
+    assert line.pairs == 0
+
+
+def test_results_of_cells_that_params_no_longer_name_are_left_over(run):
+    folder = run("a", {"gcbc": episodes(0.5), "c_beso": episodes(0.5)})
+    with (Path(folder) / "params.yaml").open("a") as file:
+        file.write("cells: {block_push-gcbc: {env: block_push, method: gcbc, of: gcbc}}\n")
+    assert {method for method, *_ in lines(folder, folder)} == {"gcbc"}
 
 
 def test_revisions_have_episodes_through_dvc_or_else_their_comparison(workspace):
