@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from beso import checkpoint, methods
+from beso import checkpoint, envs, methods, trials
 from beso.config import build
 from beso.data import play
 from beso.data.scaling import CLIP, Scaling
+from beso.envs.protocol import TrialRequest
 from beso.errors import UserError
 from beso.evaluation_config import Chunk, EvaluationConfig, chunks
 from beso.noise import EpisodeNoise
@@ -112,7 +113,13 @@ def job(make_dataset, make_job, small_models, spec, tmp_path):
     result = train(training, dataset, spec, CPU, tmp_path / "state")
     checkpoint.save(tmp_path / "models", training, spec.sizes, result, play.data_digest(dataset))
     sampling = build(methods.load("c_beso").Sampling, small_models["c_beso"][1], "sampling")
-    return EvaluationJob("block_push", tmp_path / "data", tmp_path / "models", training, sampling, CONFIG, "cpu")
+    request = TrialRequest("", training.seed, range(8), CONFIG.seed, tmp_path / "data", training.train_fraction, 0)
+    made = {
+        (goals, training.seed): envs.trial_maker("block_push")(request._replace(goals=goals)) for goals in CONFIG.goals
+    }
+    trials.save(made, tmp_path / "trials")
+    folders = (tmp_path / "data", tmp_path / "trials", tmp_path / "models")
+    return EvaluationJob("block_push", *folders, training, sampling, CONFIG, "cpu")
 
 
 def play_chunk(job, *chunk, film=None):
