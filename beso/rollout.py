@@ -64,7 +64,7 @@ def evaluate(job: EvaluationJob, chunks: Sequence[Chunk], film: Film | None = No
     all_trials = trials.load(job.trials)
     checkpoint.check(job.models, training)
     policy = checkpoint.load(job.models, training.seed, job.sampling, device)
-    encode = envs.encoder_loader(job.environment)(job.data, device)
+    encode = protocol.encoder(job.data, device)
     # Made once: an episode depends on its reset alone.
     environments = [protocol.make() for _ in range(max(chunk.last - chunk.first for chunk in chunks))]
     if film:

@@ -95,7 +95,7 @@ def room(env, *parts):
 def by_name(stage, env, method):
     """What a stage imports by the names in its cell."""
     all_methods = [f"beso/methods/{name}.py" for name in METHODS]
-    played = [f"beso/methods/{method}.py", *room(env, "encoder.py", "evaluation.py")]
+    played = [f"beso/methods/{method}.py", *room(env, "evaluation.py")]
     return {
         "collect": room(env, "spec.py", "demonstrations/*.py"),
         "trials": room(env, "trials.py"),

@@ -5,7 +5,6 @@
     <name>/demonstrations/scripted.py   record(seed, index): one scripted demonstration
     <name>/demonstrations/published.py  load(folder): published play data
     <name>/trials.py                    make(request): the episodes that policies are evaluated on (beso.envs.protocol)
-    <name>/encoder.py                   load(data, device): what stands between observations and policies
     <name>/evaluation.py                how these episodes are played and scored
     <name>/report.py                    what only the report must know: names, metrics, published statistics
 
@@ -24,7 +23,7 @@ from beso.errors import UserError
 
 if TYPE_CHECKING:
     from beso.data.spec import PlaySpec
-    from beso.envs.protocol import EncoderLoader, Evaluation, Importer, Recorder, Report, TrialMaker
+    from beso.envs.protocol import Evaluation, Importer, Recorder, Report, TrialMaker
 
 
 def names() -> list[str]:
@@ -41,11 +40,6 @@ def spec(name: str) -> PlaySpec:
 def trial_maker(name: str) -> TrialMaker:
     """The function that makes the episodes of one environment's evaluation."""
     return _part(name, "trials").make
-
-
-def encoder_loader(name: str) -> EncoderLoader:
-    """The function that loads what stands between one environment's observations and policies."""
-    return _part(name, "encoder").load
 
 
 def evaluation(name: str) -> Evaluation:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 Recorder = Callable[[int, int], Episode]  # (root seed, index of the demonstration)
 Importer = Callable[[Path], PlayDataset]
 Encoder = Callable[[np.ndarray], np.ndarray]  # raw observations (B, ...) -> what the spec describes, (B, O)
-EncoderLoader = Callable[[Path, "torch.device"], Encoder]  # (folder of the play data, device)
 
 
 class TrialRequest(NamedTuple):
@@ -87,6 +86,9 @@ class Evaluation(Protocol):
     def score(self, trial: Trial, outcome: Outcome) -> dict[str, Any]:
         """Further columns of the episode's row, among them every metric of the report."""
 
+    def encoder(self, data: Path, device: torch.device) -> Encoder:
+        """What stands between the environment's observations and the policy; `data` is the play data's folder."""
+
 
 class Metric(NamedTuple):
     """A column of evaluation rows: its name, the paper's name for it, its largest value."""
@@ -137,9 +139,9 @@ class Report(Protocol):
 TrialMaker = Callable[[TrialRequest], list[Trial]]
 
 
-def no_encoder(data: Path, device: torch.device) -> Encoder:
-    """The encoder of environments whose observations are states: they stay as they are."""
-    return lambda observations: observations
+def identity(observations: np.ndarray) -> np.ndarray:
+    """The encoder of environments whose observations are states."""
+    return observations
 
 
 def demonstration_trials(request: TrialRequest, spec: PlaySpec, limit: int) -> list[Trial]:

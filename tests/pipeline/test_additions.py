@@ -79,16 +79,17 @@ ENVIRONMENT = {
         def make(request):
             return demonstration_trials(request, SPEC, 40)
         """,
-    "encoder.py": """
-        def load(data, device):
-            return lambda observations: observations
-        """,
     "evaluation.py": """
+        from beso.envs.protocol import identity
         from beso.envs.toy.simulator import ToyEnv
 
 
         def make(render_mode=None):
             return ToyEnv()
+
+
+        def encoder(data, device):
+            return identity
 
 
         def score(trial, outcome):

@@ -1,16 +1,23 @@
 """How policies are evaluated in block push: goals are last states of demonstrations (paper, "Block-Push")."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from beso.envs.block_push.simulator import BlockPushEnv
-from beso.envs.protocol import Outcome, Trial
+from beso.envs.protocol import Encoder, Outcome, Trial, identity
 
 
 def make(render_mode: str | None = None) -> BlockPushEnv:
     """An environment as policies are evaluated in it."""
     return BlockPushEnv(render_mode=render_mode)
+
+
+def encoder(data: Path, device: torch.device) -> Encoder:
+    """Observations are states."""
+    return identity
 
 
 def score(trial: Trial, outcome: Outcome) -> dict[str, Any]:

@@ -1,14 +1,22 @@
 """How policies are evaluated in the relay kitchen: goals are last states of demonstrations (paper, "Relay Kitchen")."""
 
+from pathlib import Path
 from typing import Any
 
+import torch
+
 from beso.envs.kitchen.simulator import KitchenEnv
-from beso.envs.protocol import Outcome, Trial
+from beso.envs.protocol import Encoder, Outcome, Trial, identity
 
 
 def make(render_mode: str | None = None) -> KitchenEnv:
     """An environment as policies are evaluated in it."""
     return KitchenEnv(render_mode=render_mode)
+
+
+def encoder(data: Path, device: torch.device) -> Encoder:
+    """Observations are states."""
+    return identity
 
 
 def score(trial: Trial, outcome: Outcome) -> dict[str, Any]:
