@@ -167,3 +167,10 @@ def read_npy(path: Path) -> np.ndarray:
 def data_digest(dataset: PlayDataset) -> str:
     """One string that changes when any array does."""
     return "-".join(dataset.meta["sha256"][name][:16] for name in ARRAYS)
+
+
+def split_episodes(episodes: int, train_fraction: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of training and held-out episodes, in random order; at least one of each."""
+    order = rng.permutation(episodes)
+    count = min(max(int(train_fraction * episodes), 1), episodes - 1)
+    return order[:count], order[count:]

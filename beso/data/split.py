@@ -2,11 +2,10 @@
 
 import numpy as np
 
+from beso.data.play import split_episodes
 from beso.seeding import generator
 
 
-def split_episodes(episodes: int, train_fraction: float, root_seed: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of training and held-out episodes of model number `seed`, in random order; at least one of each."""
-    order = generator(root_seed, "split", seed).permutation(episodes)
-    count = min(max(int(train_fraction * episodes), 1), episodes - 1)
-    return order[:count], order[count:]
+def model_split(episodes: int, train_fraction: float, root_seed: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of training and held-out ones of so many episodes, for model number `seed` (see split_episodes)."""
+    return split_episodes(episodes, train_fraction, generator(root_seed, "split", seed))

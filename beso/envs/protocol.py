@@ -12,7 +12,7 @@ import numpy as np
 from beso.data import play
 from beso.data.play import Episode, PlayDataset
 from beso.data.spec import PlaySpec
-from beso.data.split import split_episodes
+from beso.data.split import model_split
 from beso.seeding import integer_seed
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def demonstration_trials(request: TrialRequest, spec: PlaySpec, limit: int) -> l
         UserError: the play data are missing or damaged.
     """
     dataset = play.load(request.data, spec)
-    split = split_episodes(len(dataset), request.train_fraction, request.root_seed, request.model_seed)
+    split = model_split(len(dataset), request.train_fraction, request.root_seed, request.model_seed)
     candidates = split[0 if request.goals == "training" else 1]
     trials = []
     for i in request.numbers:

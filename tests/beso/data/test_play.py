@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from beso.data import play
-from beso.data.play import ARRAYS, Episode, assemble
-from beso.data.split import split_episodes
+from beso.data.play import ARRAYS, Episode, assemble, split_episodes
 from beso.envs import spec as spec_of
 from beso.errors import UserError
 
@@ -138,14 +137,14 @@ def test_a_damaged_description_is_refused(folder, spec, text):
     ("episodes", "fraction", "expected"), [(20, 0.95, 19), (10, 0.75, 7), (2, 0.95, 1), (5, 0.01, 1)]
 )
 def test_split_covers_all_episodes_once(episodes, fraction, expected):
-    training, held_out = split_episodes(episodes, fraction, 0, 1)
+    training, held_out = split_episodes(episodes, fraction, np.random.default_rng(0))
     assert len(training) == expected
     assert len(held_out) >= 1
     assert sorted([*training, *held_out]) == list(range(episodes))
 
 
-def test_split_is_decided_by_its_seeds():
-    splits = [split_episodes(50, 0.9, 0, seed)[1].tolist() for seed in (0, 0, 1)]
+def test_split_is_decided_by_its_generator():
+    splits = [split_episodes(50, 0.9, np.random.default_rng(seed))[1].tolist() for seed in (0, 0, 1)]
     assert splits[0] == splits[1]
     assert splits[0] != splits[2]
 

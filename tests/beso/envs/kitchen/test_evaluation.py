@@ -2,7 +2,7 @@ import numpy as np
 
 from beso.data import play
 from beso.data.play import Episode, assemble
-from beso.data.split import split_episodes
+from beso.data.split import model_split
 from beso.envs.kitchen import evaluation, trials
 from beso.envs.kitchen.spec import SPEC
 from beso.envs.protocol import Outcome, Trial, TrialRequest
@@ -15,7 +15,7 @@ def test_trials_have_the_last_two_states_of_their_demonstration(tmp_path):
     episodes = [Episode(rng.standard_normal((20, 30)), rng.uniform(-1, 1, (20, 9)), tasks) for _ in range(4)]
     dataset = assemble(episodes, SPEC, {})
     play.save(dataset, tmp_path / "data")
-    training, held_out = split_episodes(4, 0.75, 0, 1)
+    training, held_out = model_split(4, 0.75, 0, 1)
     for goals, chosen in (("training", [*training, training[0]]), ("held_out", [*held_out] * 4)):
         made = trials.make(TrialRequest(goals, 1, range(4), 7, tmp_path / "data", 0.75, 0))
         assert [trial.labels["goal_demonstration"] for trial in made] == chosen
