@@ -69,3 +69,20 @@ def test_single_tasks_are_all_tasks_without_a_colour():
     colours = ("red", "blue", "pink")
     assert set(SINGLE_TASKS) == {task for task in SPEC.tasks if not any(colour in task for colour in colours)}
     assert tuple(report.GOAL_LABELS) == SPEC.goal_sets
+
+
+def test_figures_and_tables_have_every_method(rows):
+    tasks = np.zeros((40, 34), dtype=np.uint8)
+    dataset = PlayDataset(np.zeros((40, 512)), np.zeros((40, 7)), tasks, np.array([20, 40]), {})
+    single = rows[rows["goals"] == "single_tasks"]
+    episodes = {"A": rows, "B": single}
+    summary, tasks = report.tables(dataset, episodes)
+    assert summary.columns == ("Method", *drawings.COLUMNS)
+    assert summary.rows[0] == ("A", 0.25, 0.875, 0.625, 0.8125)
+    assert summary.rows[1][:2] == ("B", 0.25)
+    assert np.isnan(summary.rows[1][2:]).all()
+    assert tasks.columns == ("Task", "A", "B")
+    assert tasks.rows == [("open drawer", 0.5, 0.5), ("close drawer", 0, 0), ("mean", 0.25, 0.25)]
+    drawn = report.drawings(dataset, episodes)
+    assert len({drawing.name for drawing in drawn}) == len(drawn)
+    assert drawn[0].figure.axes[0].get_legend_handles_labels()[1] == ["A", "B"]
