@@ -153,6 +153,13 @@ def test_a_policy_of_another_configuration_is_refused(job):
         play_chunk(other, "training", 0, 1)
 
 
+def test_episodes_that_were_not_made_are_refused(job, tmp_path):
+    with pytest.raises(UserError, match="episode 8 with goal set training and seed 1 was not made: there are 8"):
+        play_chunk(job, "training", 7, 9)
+    with pytest.raises(UserError, match=r"nowhere has no trials\.json: run `dvc repro trials`"):
+        play_chunk(dataclasses.replace(job, trials=tmp_path / "nowhere"), "training", 0, 1)
+
+
 def test_a_researchers_policy_acts_like_the_evaluations(job, small_models):
     """Policy.load and a loop on raw observations need the trained folder alone."""
     policy = Policy.load(job.models, seed=job.training.seed, sampling=small_models["c_beso"][1], device="cpu")
