@@ -1,8 +1,9 @@
 """Seeded evaluation, batched over environments.
 
 Episodes run in fixed chunks; a chunk steps its environments together and asks the policy once a step for all that are
-still running. Start, goal and policy noise of an episode come from generators named after its model seed and number, so
-that every method meets the same starts and the number of workers never changes a number.
+still running. Starts and goals are made beforehand (beso.trials), and the policy noise of an episode comes from a
+generator named after its model seed and number, so that every method meets the same starts and the number of workers
+never changes a number.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,10 +14,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from beso import checkpoint, envs
-from beso.data import play
+from beso import checkpoint, envs, trials
 from beso.device import pick_device
-from beso.envs.protocol import Encoder, Outcome, Trial, TrialRequest
+from beso.envs.protocol import Encoder, Outcome, Trial
 from beso.evaluation_config import Chunk, EvaluationConfig
 from beso.noise import EpisodeNoise
 from beso.policy import Agent
@@ -33,7 +33,7 @@ class EvaluationJob:
 
     Attributes:
         environment: its name.
-        data, models: folders of the play dataset and of the trained models.
+        data, trials, models: folders of the play data, of the episodes and of the trained models.
         training: the trained model.
         sampling: how it generates actions.
         config: number of episodes, goals, seed.
@@ -42,6 +42,7 @@ class EvaluationJob:
 
     environment: str
     data: Path
+    trials: Path
     models: Path
     training: TrainingJob
     sampling: Any
@@ -54,14 +55,16 @@ def evaluate(job: EvaluationJob, chunks: Sequence[Chunk], film: Film | None = No
 
     Args:
         film: called with every picture (H, W, 3) of each chunk's first episode.
+
+    Raises:
+        UserError: trials or models are missing or damaged, or the models are of another training.
     """
     device, protocol = pick_device(job.device), envs.evaluation(job.environment)
     config, training = job.config, job.training
-    dataset = play.load(job.data, envs.spec(job.environment))
+    all_trials = trials.load(job.trials)
     checkpoint.check(job.models, training)
     policy = checkpoint.load(job.models, training.seed, job.sampling, device)
     encode = protocol.encoder(job.data, device)
-    split = training.split(len(dataset))
     # Made once: an episode depends on its reset alone.
     environments = [protocol.make() for _ in range(max(chunk.last - chunk.first for chunk in chunks))]
     if film:
@@ -71,10 +74,10 @@ def evaluate(job: EvaluationJob, chunks: Sequence[Chunk], film: Film | None = No
     try:
         for chunk in chunks:
             numbers = range(chunk.first, chunk.last)
-            trials = protocol.trials(TrialRequest(chunk.goals, numbers, dataset, *split, config.seed, training.seed))
+            chosen = trials.pick(all_trials, chunk.goals, training.seed, numbers)
             role = f"policy noise, {chunk.goals} goals"
             noise = EpisodeNoise([generator(config.seed, role, training.seed, i) for i in numbers], device)
-            outcomes = _play(trials, environments, policy, encode, noise, device, config.max_actions, film)
+            outcomes = _play(chosen, environments, policy, encode, noise, device, config.max_actions, film)
             played.append(
                 [
                     {
@@ -84,7 +87,7 @@ def evaluate(job: EvaluationJob, chunks: Sequence[Chunk], film: Film | None = No
                         **trial.labels,
                         **protocol.score(trial, outcome),
                     }
-                    for i, trial, outcome in zip(numbers, trials, outcomes, strict=True)
+                    for i, trial, outcome in zip(numbers, chosen, outcomes, strict=True)
                 ]
             )
     finally:
@@ -94,7 +97,7 @@ def evaluate(job: EvaluationJob, chunks: Sequence[Chunk], film: Film | None = No
 
 
 def _play(
-    trials: list[Trial],
+    chosen: list[Trial],
     environments: list[gymnasium.Env],
     policy: checkpoint.Loaded,
     encode: Encoder,
@@ -103,17 +106,17 @@ def _play(
     max_actions: int | None,
     film: Film | None,
 ) -> list[Outcome]:
-    """Play trials side by side: reset, encode, act, step, until all have ended."""
+    """Play the chosen trials side by side: reset, encode, act, step, until all have ended."""
     outcomes = []
-    for trial, environment in zip(trials, environments, strict=False):
+    for trial, environment in zip(chosen, environments, strict=False):
         observation, info = environment.reset(seed=trial.seed, options=trial.options)
         outcomes.append(Outcome(0.0, 0, observation, info, info["goal"]))
     goals = np.stack([outcome.goal for outcome in outcomes])  # (B, G, ...)
     encoded = encode(goals.reshape(-1, *goals.shape[2:]))
     agent = Agent(policy, encoded.reshape(*goals.shape[:2], -1), device)
-    limits = [min(trial.limit, max_actions or trial.limit) for trial in trials]
+    limits = [min(trial.limit, max_actions or trial.limit) for trial in chosen]
     _show(film, environments[0])
-    running = np.arange(len(trials))
+    running = np.arange(len(chosen))
     while len(running):
         actions = agent.act(encode(np.stack([outcomes[i].observation for i in running])), noise)
         ended = np.zeros(len(running), dtype=bool)

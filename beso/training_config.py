@@ -7,8 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from beso.config import require, require_positive, require_rate
-from beso.data.play import split_episodes
-from beso.seeding import generator
+from beso.data.split import model_split
 
 STEP_DECAY_EVERY, STEP_DECAY = 100, 0.99  # the published code's StepLR
 
@@ -98,4 +97,4 @@ class TrainingJob:
 
     def split(self, episodes: int) -> tuple[np.ndarray, np.ndarray]:
         """Training and held-out ones of so many episodes, indices."""
-        return split_episodes(episodes, self.train_fraction, generator(self.root_seed, "split", self.seed))
+        return model_split(episodes, self.train_fraction, self.root_seed, self.seed)

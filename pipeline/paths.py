@@ -13,6 +13,11 @@ def play(environment: str) -> Path:
     return Path("data/play") / environment
 
 
+def trials(environment: str) -> Path:
+    """The episodes that policies are evaluated on."""
+    return Path("data/trials") / environment
+
+
 def models(environment: str, method: str) -> Path:
     """Trained models of one cell."""
     return Path("models") / environment / method

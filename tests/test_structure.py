@@ -95,9 +95,10 @@ def room(env, *parts):
 def by_name(stage, env, method):
     """What a stage imports by the names in its cell."""
     all_methods = [f"beso/methods/{name}.py" for name in METHODS]
-    played = [f"beso/methods/{method}.py", *room(env, "spec.py", "evaluation.py")]
+    played = [f"beso/methods/{method}.py", *room(env, "evaluation.py")]
     return {
         "collect": room(env, "spec.py", "demonstrations/*.py"),
+        "trials": room(env, "trials.py"),
         "train": [f"beso/methods/{method}.py", *room(env, "spec.py")],
         "evaluate": played,
         "study": played,
@@ -109,7 +110,12 @@ def by_name(stage, env, method):
     }[stage]
 
 
-WHOLE = {"tables", "page", "latency", "fork"}  # folders as they are, though not all of them is imported
+def in_any_room(files):
+    """A dep in a room stands for that file of all rooms: one that needs it is enough."""
+    return {Path(*f.parts[:2], "any", *f.parts[3:]) if f.parts[:2] == ("beso", "envs") else f for f in files}
+
+
+WHOLE = {"trials", "tables", "page", "latency", "fork"}  # folders as they are, though not all of them is imported
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -126,7 +132,8 @@ def test_deps_are_what_the_stage_imports(stage):
             names = declared(stage, env, method)
             assert used - names == set(), "imported, but not among the deps"
             used_by_any |= used
-    extra = set().union(*(declared(stage, e, m) for e in ENVIRONMENTS for m in METHODS)) - used_by_any
+    declared_by_any = set().union(*(declared(stage, e, m) for e in ENVIRONMENTS for m in METHODS))
+    extra = in_any_room(declared_by_any) - in_any_room(used_by_any)
     assert stage in WHOLE or extra == set(), "among the deps, but never imported"
 
 
@@ -195,7 +202,7 @@ def test_nothing_outside_its_room_names_an_environment_or_a_method(kind):
                 assert node.value not in names or path == ROOT / "pipeline/tools/bench.py", (path, node.value)
     text = (ROOT / "dvc.yaml").read_text()
     assert not [name for name in names if name in text]
-    assert len(text.splitlines()) <= 160
+    assert len(text.splitlines()) <= 180
 
 
 def test_stage_scripts_are_short():

@@ -4,7 +4,8 @@
     <name>/simulator/                   the gymnasium environment, registered when this package is imported
     <name>/demonstrations/scripted.py   record(seed, index): one scripted demonstration
     <name>/demonstrations/published.py  load(folder): published play data
-    <name>/evaluation.py                the protocol of its evaluation (beso.envs.protocol)
+    <name>/trials.py                    make(request): the episodes that policies are evaluated on (beso.envs.protocol)
+    <name>/evaluation.py                how these episodes are played and scored
     <name>/report.py                    what only the report must know: names, metrics, published statistics
 
 Rooms are imported by name and piece by piece, so that training needs no simulator and a pipeline cell depends on the
@@ -22,7 +23,7 @@ from beso.errors import UserError
 
 if TYPE_CHECKING:
     from beso.data.spec import PlaySpec
-    from beso.envs.protocol import Evaluation, Importer, Recorder, Report
+    from beso.envs.protocol import Evaluation, Importer, Recorder, Report, TrialMaker
 
 
 def names() -> list[str]:
@@ -36,8 +37,13 @@ def spec(name: str) -> PlaySpec:
     return _part(name, "spec").SPEC
 
 
+def trial_maker(name: str) -> TrialMaker:
+    """The function that makes the episodes of one environment's evaluation."""
+    return _part(name, "trials").make
+
+
 def evaluation(name: str) -> Evaluation:
-    """How policies are evaluated in one environment."""
+    """How episodes are played and scored in one environment."""
     return _part(name, "evaluation")
 
 

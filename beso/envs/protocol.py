@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
+from beso.data import play
 from beso.data.play import Episode, PlayDataset
+from beso.data.spec import PlaySpec
+from beso.data.split import model_split
 from beso.seeding import integer_seed
 
 if TYPE_CHECKING:
@@ -24,24 +27,24 @@ Encoder = Callable[[np.ndarray], np.ndarray]  # raw observations (B, ...) -> wha
 
 
 class TrialRequest(NamedTuple):
-    """Which episodes are wanted.
+    """Which trials are wanted.
 
     Attributes:
         goals: one of the spec's goal sets.
+        model_seed: number of the model that plays them.
         numbers: their numbers; trial i depends on i alone, not on the others asked for.
-        dataset: the play data.
-        training, held_out: episodes of it that the policy was trained on, and the others.
         seed: root of evaluation's random numbers.
-        model_seed: the model's number.
+        data: the play data's folder.
+        train_fraction, root_seed: what decides which demonstrations that model was trained on (beso.data.split).
     """
 
     goals: str
-    numbers: range
-    dataset: PlayDataset
-    training: np.ndarray
-    held_out: np.ndarray
-    seed: int
     model_seed: int
+    numbers: range
+    seed: int
+    data: Path
+    train_fraction: float
+    root_seed: int
 
 
 @dataclass(frozen=True)
@@ -49,17 +52,18 @@ class Trial:
     """One episode before it is played.
 
     Attributes:
-        seed, options: for the environment's `reset`, which answers with `info["goal"]`, (G, ...) raw goal states.
+        seed, options: for the environment's `reset`, which answers with `info["goal"]`, (G, ...) raw goal states. All
+            trials of an environment have the same options, of the same shapes.
         tasks: tasks that the goal asks for, positions in the spec's list.
         limit: the largest number of actions.
         labels: columns of the episode's row.
     """
 
     seed: int
-    options: dict[str, Any]
+    options: dict[str, np.ndarray]
     tasks: tuple[int, ...]
     limit: int
-    labels: dict[str, Any]
+    labels: dict[str, int | str]
 
 
 @dataclass
@@ -78,9 +82,6 @@ class Evaluation(Protocol):
 
     def make(self, render_mode: str | None = None) -> gymnasium.Env:
         """An environment; its episodes depend on their reset alone."""
-
-    def trials(self, request: TrialRequest) -> list[Trial]:
-        """The episodes asked for."""
 
     def score(self, trial: Trial, outcome: Outcome) -> dict[str, Any]:
         """Further columns of the episode's row, among them every metric of the report."""
@@ -135,25 +136,33 @@ class Report(Protocol):
         """Tables that only this environment has."""
 
 
+TrialMaker = Callable[[TrialRequest], list[Trial]]
+
+
 def identity(observations: np.ndarray) -> np.ndarray:
     """The encoder of environments whose observations are states."""
     return observations
 
 
-def demonstration_trials(request: TrialRequest, goal_window: int, limit: int) -> list[Trial]:
+def demonstration_trials(request: TrialRequest, spec: PlaySpec, limit: int) -> list[Trial]:
     """Trials whose goals are the last states of demonstrations: "training" ones, as in the paper, or "held_out" ones.
 
     The goal of trial i is that of demonstration i of the set, counted round; `reset` gets it as the option "goal".
+
+    Raises:
+        UserError: the play data are missing or damaged.
     """
-    candidates = request.training if request.goals == "training" else request.held_out
+    dataset = play.load(request.data, spec)
+    split = model_split(len(dataset), request.train_fraction, request.root_seed, request.model_seed)
+    candidates = split[0 if request.goals == "training" else 1]
     trials = []
     for i in request.numbers:
         demonstration = int(candidates[i % len(candidates)])
-        end, tasks = request.dataset.episode_ends[demonstration], request.dataset.completed(demonstration)
+        end, tasks = dataset.episode_ends[demonstration], dataset.completed(demonstration)
         trials.append(
             Trial(
                 seed=integer_seed(request.seed, f"start, {request.goals} goals", request.model_seed, i),
-                options={"goal": request.dataset.observations[end - goal_window : end]},
+                options={"goal": np.array(dataset.observations[end - spec.goal_window : end])},
                 tasks=tasks,
                 limit=limit,
                 labels={"goal_demonstration": demonstration, "goal_tasks": " ".join(map(str, tasks))},

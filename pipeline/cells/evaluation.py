@@ -41,12 +41,12 @@ def run_study(params: Params, name: str) -> None:
 def evaluation_jobs(params: Params, environment: str, method: str, sampling: Any) -> list[EvaluationJob]:
     """One job for each model seed of a cell."""
     settings = params.environments[environment]
-    data, models = paths.play(environment), paths.models(environment, method)
     return [
         EvaluationJob(
             environment=environment,
-            data=data,
-            models=models,
+            data=paths.play(environment),
+            trials=paths.trials(environment),
+            models=paths.models(environment, method),
             training=params.job(environment, method, seed),
             sampling=sampling,
             config=settings.evaluation,

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from beso import checkpoint, methods
+from beso import checkpoint, envs, methods, trials
 from beso.config import build
 from beso.data import play
 from beso.data.scaling import CLIP, Scaling
+from beso.envs.protocol import TrialRequest
 from beso.errors import UserError
 from beso.evaluation_config import Chunk, EvaluationConfig, chunks
 from beso.noise import EpisodeNoise
@@ -112,7 +113,13 @@ def job(make_dataset, make_job, small_models, spec, tmp_path):
     result = train(training, dataset, spec, CPU, tmp_path / "state")
     checkpoint.save(tmp_path / "models", training, spec.sizes, result, play.data_digest(dataset))
     sampling = build(methods.load("c_beso").Sampling, small_models["c_beso"][1], "sampling")
-    return EvaluationJob("block_push", tmp_path / "data", tmp_path / "models", training, sampling, CONFIG, "cpu")
+    request = TrialRequest("", training.seed, range(8), CONFIG.seed, tmp_path / "data", training.train_fraction, 0)
+    made = {
+        (goals, training.seed): envs.trial_maker("block_push")(request._replace(goals=goals)) for goals in CONFIG.goals
+    }
+    trials.save(made, tmp_path / "trials")
+    folders = (tmp_path / "data", tmp_path / "trials", tmp_path / "models")
+    return EvaluationJob("block_push", *folders, training, sampling, CONFIG, "cpu")
 
 
 def play_chunk(job, *chunk, film=None):
@@ -144,6 +151,13 @@ def test_a_policy_of_another_configuration_is_refused(job):
     other = dataclasses.replace(job, training=dataclasses.replace(job.training, train_fraction=0.5))
     with pytest.raises(UserError, match=r"train_fraction is 0\.7 there and 0\.5 here"):
         play_chunk(other, "training", 0, 1)
+
+
+def test_episodes_that_were_not_made_are_refused(job, tmp_path):
+    with pytest.raises(UserError, match="episode 8 with goal set training and seed 1 was not made: there are 8"):
+        play_chunk(job, "training", 7, 9)
+    with pytest.raises(UserError, match=r"nowhere has no trials\.json: run `dvc repro trials`"):
+        play_chunk(dataclasses.replace(job, trials=tmp_path / "nowhere"), "training", 0, 1)
 
 
 def test_a_researchers_policy_acts_like_the_evaluations(job, small_models):

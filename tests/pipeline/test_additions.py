@@ -71,17 +71,21 @@ ENVIRONMENT = {
             observations, actions = (np.array(part, dtype=np.float32) for part in zip(*rows))
             return Episode(observations, actions, np.zeros((30, 1), dtype=np.uint8), failed_takes=index % 2)
         """,
+    "trials.py": """
+        from beso.envs.protocol import demonstration_trials
+        from beso.envs.toy.spec import SPEC
+
+
+        def make(request):
+            return demonstration_trials(request, SPEC, 40)
+        """,
     "evaluation.py": """
-        from beso.envs.protocol import demonstration_trials, identity
+        from beso.envs.protocol import identity
         from beso.envs.toy.simulator import ToyEnv
 
 
         def make(render_mode=None):
             return ToyEnv()
-
-
-        def trials(request):
-            return demonstration_trials(request, 1, 40)
 
 
         def encoder(data, device):
@@ -167,7 +171,7 @@ def test_an_environment_is_one_folder_and_its_parameters(workspace):
         workspace.set(f"methods.gcbc.{part}", {**gcbc[part], "toy": gcbc[part]["block_push"]})
     add_cell(workspace, "toy", "gcbc", "gcbc")
     ran = workspace.repro()
-    assert set(ran) == {"collect@toy", "train@toy-gcbc", "evaluate@toy-gcbc", "latency", "tables", "page"}
+    assert set(ran) == {"collect@toy", "trials@toy", "train@toy-gcbc", "evaluate@toy-gcbc", "latency", "tables", "page"}
     assert all(name.startswith("beso/envs/toy/") for name in changed(workspace))
     rows = pd.read_csv(workspace.folder / "results/toy/gcbc.csv")
     assert len(rows) == 2 * 2  # seeds, rollouts

@@ -73,6 +73,16 @@ def test_missing_dataset(workspace):
     assert "data/play/block_push is not a play dataset" in stage(workspace, "train", "block_push", "gcbc")
 
 
+def test_missing_and_altered_trials(workspace):
+    folder = workspace.folder / "data/trials/block_push"
+    goals = folder / "goal.npy"
+    goals.write_bytes(goals.read_bytes()[:-4] + b"\0\0\0\1")
+    assert "goal.npy is not the file that trials.json describes" in stage(workspace, "evaluate", "block_push", "gcbc")
+    folder.rename(workspace.folder / "elsewhere")
+    line = stage(workspace, "evaluate", "block_push", "gcbc")
+    assert "data/trials/block_push has no trials.json: run `dvc repro trials`" in line
+
+
 def test_checkpoint_of_another_configuration(workspace):
     workspace.set("methods.gcbc.train.block_push.model.width", 33)
     line = stage(workspace, "evaluate", "block_push", "gcbc")

@@ -7,20 +7,12 @@ import numpy as np
 import torch
 
 from beso.envs.block_push.simulator import BlockPushEnv
-from beso.envs.block_push.spec import SPEC
-from beso.envs.protocol import Encoder, Outcome, Trial, TrialRequest, demonstration_trials, identity
-
-MAX_ACTIONS = 299  # the published loop of 300 records its result before the last action
+from beso.envs.protocol import Encoder, Outcome, Trial, identity
 
 
 def make(render_mode: str | None = None) -> BlockPushEnv:
     """An environment as policies are evaluated in it."""
     return BlockPushEnv(render_mode=render_mode)
-
-
-def trials(request: TrialRequest) -> list[Trial]:
-    """Goals from demonstrations; the environment exchanges the blocks where its targets lie the other way round."""
-    return demonstration_trials(request, SPEC.goal_window, MAX_ACTIONS)
 
 
 def encoder(data: Path, device: torch.device) -> Encoder:

@@ -6,20 +6,12 @@ from typing import Any
 import torch
 
 from beso.envs.kitchen.simulator import KitchenEnv
-from beso.envs.kitchen.spec import SPEC
-from beso.envs.protocol import Encoder, Outcome, Trial, TrialRequest, demonstration_trials, identity
-
-MAX_ACTIONS = 279  # the published loop of 280 records its result before the last action
+from beso.envs.protocol import Encoder, Outcome, Trial, identity
 
 
 def make(render_mode: str | None = None) -> KitchenEnv:
     """An environment as policies are evaluated in it."""
     return KitchenEnv(render_mode=render_mode)
-
-
-def trials(request: TrialRequest) -> list[Trial]:
-    """Goals from demonstrations: their last two states. Every episode starts alike but for the noise."""
-    return demonstration_trials(request, SPEC.goal_window, MAX_ACTIONS)
 
 
 def encoder(data: Path, device: torch.device) -> Encoder:

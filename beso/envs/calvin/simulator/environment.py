@@ -2,8 +2,7 @@
 
 The environment of the paper's CALVIN experiments (Mees et al. 2022), written anew: control, physics, joints, state
 vectors, camera and start distribution are CALVIN's, the looks are our own (flat colours), unless a folder with
-CALVIN's files is given. There is no reward and no termination: tasks are judged from `info["state"]`, see
-`beso.envs.calvin.tasks`.
+CALVIN's files is given.
 """
 
 from pathlib import Path
@@ -12,9 +11,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from beso.envs.calvin.observations import ACTION_SIZE
+from beso.envs.calvin.simulator import tasks
+from beso.envs.calvin.simulator.observations import ACTION_SIZE
 from beso.envs.calvin.simulator.play_table import CONTROL_HZ, PlayTable
 from beso.envs.calvin.simulator.spawn import CLOSED_FIXTURES, draw_scene
+from beso.envs.calvin.simulator.state import TableState
 
 
 class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -22,14 +23,17 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     Args:
         render_mode: None, or "rgb_array" for pictures of `render_size` pixels from `render()`.
-        size: height and width of observations, pixels.
+        size: height and width of observations, pixels, in episodes without a goal.
         render_size: height and width of rendered pictures, pixels.
         assets: folder with CALVIN's own files, or None for ours.
 
     Observations are (size, size, 3) uint8 RGB. Actions are (7,): xyz, euler xyz, gripper (> 0 opens), in [-1, 1].
 
-    `info` holds "robot_obs" (15,) and "scene_obs" (24,), see `beso.envs.calvin.observations`, and "state", a
-    TableState.
+    `info` holds "robot_obs" (15,) and "scene_obs" (24,), see `beso.envs.calvin.simulator.observations`, "state", a
+    TableState, and "tasks", the wanted tasks that were done so far (numbers, in the order in which they came to be
+    done). A task is done when it is reported between the first state and the one now (simulator.tasks). The episode
+    ends with a reward of 1 when all wanted tasks are reported at the same time, which is published evaluation's
+    success; nothing else is rewarded.
 
     Raises:
         ValueError: an unknown render_mode.
@@ -54,7 +58,8 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Start an episode.
 
         `options` may give "scene_obs" (24,), else everything is closed and off and the blocks' places are drawn;
-        "robot_obs" (15,), else the arm starts at its neutral pose; "goal", which `info` then returns.
+        "robot_obs" (15,), else the arm starts at its neutral pose; "tasks" (34,), 1 for the wanted ones, else there are
+        none; "goal" (1, size, size, 3), which `info` then returns. Observations are as large as the goal.
         """
         super().reset(seed=seed)
         options = options or {}
@@ -63,18 +68,27 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             scene_obs = draw_scene(self.np_random, CLOSED_FIXTURES)
         self.table.reset(scene_obs, options.get("robot_obs"))
         goal = {"goal": options["goal"]} if "goal" in options else {}
-        return self.table.picture(self.size), {**self._info(), **goal}
+        self._shown = options["goal"].shape[1] if goal else self.size
+        self._start = self.table.state()
+        self._wanted = np.array(options.get("tasks", np.zeros(len(tasks.NAMES))), dtype=bool)
+        self._done: list[int] = []
+        return self.table.picture(self._shown), {**self._info(self._start), **goal}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Carry out a relative action for 1/30 s. The reward is 0 and the episode goes on."""
+        """Carry out a relative action for 1/30 s."""
         self.table.step(action)
-        return self.table.picture(self.size), 0.0, False, False, self._info()
+        state = self.table.state()
+        reported = self._wanted & tasks.completed(self._start, state)
+        self._done += [int(task) for task in np.flatnonzero(reported) if task not in self._done]
+        success = bool(self._wanted.any() and reported.sum() == self._wanted.sum())
+        return self.table.picture(self._shown), float(success), success, False, self._info(state)
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self, state: TableState) -> dict[str, Any]:
         return {
             "robot_obs": self.table.robot_obs(),
             "scene_obs": self.table.scene_obs(),
-            "state": self.table.state(),
+            "state": state,
+            "tasks": tuple(self._done),
         }
 
     def render(self) -> np.ndarray | None:

@@ -4,7 +4,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from beso import envs
-from beso.envs.block_push import evaluation
+from beso.envs.block_push import evaluation, trials
 from beso.envs.block_push.simulator.environment import BlockPushEnv, fitting_goal
 from beso.envs.protocol import Outcome, Trial
 
@@ -163,4 +163,4 @@ def test_distance_is_the_mean_of_the_blocks_from_their_places():
 
 def test_rooms_load_by_name():
     assert envs.names() == sorted(envs.names())
-    assert envs.evaluation("block_push").MAX_ACTIONS == 299
+    assert trials.MAX_ACTIONS == 299

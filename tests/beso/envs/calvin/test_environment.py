@@ -25,7 +25,7 @@ def test_observations_are_pictures_and_info_tells_the_state(env):
     observation, info = env.reset(seed=0)
     assert observation.dtype == np.uint8
     assert observation.shape == (48, 48, 3)
-    assert set(info) == {"robot_obs", "scene_obs", "state"}
+    assert set(info) == {"robot_obs", "scene_obs", "state", "tasks"}
     assert info["scene_obs"][:6] == pytest.approx(np.zeros(6), abs=1e-3)
     _, reward, terminated, truncated, after = env.step(np.array([1, 0, 0, 0, 0, 0, 1], dtype=np.float32))
     assert (reward, terminated, truncated) == (0.0, False, False)

@@ -1,27 +1,30 @@
 import numpy as np
 
+from beso.data import play
 from beso.data.play import Episode, assemble
-from beso.envs.kitchen import evaluation
+from beso.data.split import model_split
+from beso.envs.kitchen import evaluation, trials
 from beso.envs.kitchen.spec import SPEC
 from beso.envs.protocol import Outcome, Trial, TrialRequest
 
 
-def test_trials_have_the_last_two_states_of_their_demonstration():
+def test_trials_have_the_last_two_states_of_their_demonstration(tmp_path):
     rng = np.random.default_rng(0)
     tasks = np.zeros((20, 7), dtype=np.uint8)
     tasks[5, 2] = tasks[9, 0] = 1
     episodes = [Episode(rng.standard_normal((20, 30)), rng.uniform(-1, 1, (20, 9)), tasks) for _ in range(4)]
     dataset = assemble(episodes, SPEC, {})
-    for goals, chosen in (("training", [2, 0, 3, 2]), ("held_out", [1, 1, 1, 1])):
-        request = TrialRequest(goals, range(4), dataset, np.array([2, 0, 3]), np.array([1]), seed=7, model_seed=1)
-        trials = evaluation.trials(request)
-        assert [trial.labels["goal_demonstration"] for trial in trials] == chosen
-        for trial, episode in zip(trials, chosen, strict=True):
+    play.save(dataset, tmp_path / "data")
+    training, held_out = model_split(4, 0.75, 0, 1)
+    for goals, chosen in (("training", [*training, training[0]]), ("held_out", [*held_out] * 4)):
+        made = trials.make(TrialRequest(goals, 1, range(4), 7, tmp_path / "data", 0.75, 0))
+        assert [trial.labels["goal_demonstration"] for trial in made] == chosen
+        for trial, episode in zip(made, chosen, strict=True):
             assert np.array_equal(trial.options["goal"], dataset.observations[20 * episode + 18 : 20 * episode + 20])
             assert (trial.tasks, trial.limit) == ((2, 0), 279)
     environment = evaluation.make()
-    _, info = environment.reset(seed=trials[0].seed, options=trials[0].options)
-    assert np.array_equal(info["goal"], trials[0].options["goal"])
+    _, info = environment.reset(seed=made[0].seed, options=made[0].options)
+    assert np.array_equal(info["goal"], made[0].options["goal"])
 
 
 def test_reward_counts_all_tasks_and_result_the_goals():

@@ -1,0 +1,124 @@
+"""What counts as success, near misses, and a whole evaluation on pictures."""
+
+import numpy as np
+import pytest
+import torch
+
+from beso import checkpoint, methods
+from beso import trials as stored
+from beso.config import build
+from beso.data import play
+from beso.envs.calvin import evaluation, trials
+from beso.envs.calvin.simulator.observations import DRAWER, FIXTURES, LED, SLIDE
+from beso.envs.calvin.spec import SPEC
+from beso.envs.protocol import Outcome, Trial, TrialRequest
+from beso.evaluation_config import Chunk, EvaluationConfig
+from beso.images import encoder as images
+from beso.images.resnet import ResNet18
+from beso.rollout import EvaluationJob, evaluate
+from beso.training import train
+
+IDLE = np.array([0, 0, 0, 0, 0, 0, 1.0])
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def environment():
+    environment = evaluation.make()
+    yield environment
+    environment.close()
+
+
+@pytest.fixture
+def start(environment, scene):
+    """start(*wanted tasks) -> a function that puts fixtures somewhere and takes a step that moves nothing."""
+
+    def begin(*wanted):
+        goal = np.zeros((1, 24, 24, 3), dtype=np.uint8)
+        options = {"scene_obs": scene, "goal": goal, "tasks": np.isin(SPEC.tasks, wanted)}
+        observation, info = environment.reset(seed=0, options=options)
+        assert observation.shape == goal.shape[1:]
+        assert info["goal"] is goal
+        return put
+
+    def put(**fixtures):
+        values = scene[FIXTURES].copy()
+        for name, value in fixtures.items():
+            values[{"slide": SLIDE, "drawer": DRAWER, "led": LED}[name]] = value
+        environment.table.fixtures.reset(values)
+        _, reward, terminated, truncated, info = environment.step(IDLE)
+        assert terminated == (reward == 1.0)
+        assert not truncated
+        return reward, [SPEC.tasks[task] for task in info["tasks"]]
+
+    return begin
+
+
+def test_a_task_must_be_done_whole(start):
+    put = start("open_drawer")
+    assert put(drawer=0.11) == (0, [])
+    assert put(drawer=0.13) == (1, ["open_drawer"])
+
+
+def test_other_tasks_do_not_count(start):
+    put = start("open_drawer")
+    assert put(slide=0.28, led=1) == (0, [])
+
+
+def test_two_tasks_must_be_done_at_the_same_time(start):
+    put = start("open_drawer", "turn_on_led")
+    assert put(led=1, slide=0.28) == (0, ["turn_on_led"])
+    assert put(drawer=0.2) == (0, ["turn_on_led", "open_drawer"]), "the light is off again"
+    assert put(drawer=0.2, led=1) == (1, ["turn_on_led", "open_drawer"])
+
+
+def test_nothing_is_forgotten_but_at_a_reset(start):
+    start("turn_on_led")(led=1)
+    assert start("turn_on_led", "open_drawer")() == (0, [])
+
+
+def test_without_wanted_tasks_an_episode_goes_on(environment, scene):
+    environment.reset(options={"scene_obs": scene})
+    assert environment.step(IDLE)[1:4] == (0.0, False, False)
+
+
+@pytest.mark.parametrize(
+    ("done", "reward", "expected"),
+    [
+        ((), 0.0, ("", 0, 0)),
+        ((31,), 0.0, ("31", 0, 1)),
+        ((31, 14), 0.0, ("31 14", 0, 2)),
+        ((14, 31), 1.0, ("14 31", 1, 2)),
+    ],
+)
+def test_rows_count_the_wanted_tasks(done, reward, expected):
+    trial = Trial(seed=0, options={}, tasks=(14, 31), limit=300, labels={})
+    outcome = Outcome(reward, 120, np.zeros((2, 2, 3)), {"tasks": done}, np.zeros((1, 2, 2, 3)))
+    assert evaluation.score(trial, outcome) == dict(
+        zip(("tasks", "success", "completed", "length"), (*expected, 120), strict=True)
+    )
+
+
+@pytest.fixture
+def spec():
+    return SPEC
+
+
+def test_a_policy_is_evaluated_on_pictures(make_dataset, make_job, small_models, tmp_path):
+    play.save(make_dataset([30, 32, 34]), tmp_path / "data")
+    encoding = images.Encoding(width=8, size=32, mean=(0.5,) * 3, std=(0.3,) * 3, precision="fp32")
+    images.save(tmp_path / "data", ResNet18(8, torch.Generator().manual_seed(0)), encoding, {})
+    dataset, training = play.load(tmp_path / "data", SPEC), make_job("gcbc")
+    result = train(training, dataset, SPEC, CPU, tmp_path / "state")
+    checkpoint.save(tmp_path / "models", training, SPEC.sizes, result, play.data_digest(dataset))
+    request = TrialRequest("single_tasks", training.seed, range(2), 3, tmp_path / "data", 0.7, 0)
+    stored.save({("single_tasks", training.seed): trials.make(request)}, tmp_path / "trials")
+    config = EvaluationConfig(seed=3, rollouts=2, goals=("single_tasks",), chunk=2, max_actions=4)
+    sampling = build(methods.load("gcbc").Sampling, small_models["gcbc"][1], "sampling")
+    folders = (tmp_path / "data", tmp_path / "trials", tmp_path / "models")
+    job = EvaluationJob("calvin", *folders, training, sampling, config, "cpu")
+    (rows,) = evaluate(job, [Chunk("single_tasks", 0, 2)])
+    assert [list(row.values()) for row in rows] == [
+        [training.seed, "single_tasks", i, str(SPEC.tasks.index(trials.SINGLE_TASKS[i])), "", 0, 0, 4] for i in range(2)
+    ]
+    assert evaluate(job, [Chunk("single_tasks", 1, 2)]) == [rows[1:]]
