@@ -1,0 +1,135 @@
+"""The frozen encoder between camera frames and policies, on disk beside the play data that it made.
+
+encoder.safetensors   the network's weights, by torchvision's names
+encoder.json          architecture, frame size, channel statistics, precision, where the weights come from, SHA-256
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import safetensors.torch
+import torch
+from torch import Tensor
+
+from beso.config import build, require, require_positive
+from beso.errors import UserError
+from beso.files import read_json, replacing, sha256, write_json
+from beso.images.resnet import FEATURES, WIDTHS, ResNet18
+
+WEIGHTS, DESCRIPTION = "encoder.safetensors", "encoder.json"
+BATCH: Final = 16  # always so many frames at a time: another batch size is another order of sums in the products
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How frames become features, apart from the weights.
+
+    Attributes:
+        width: of the network, see beso.images.resnet.
+        size: height and width of the frames, pixels.
+        mean, std: by which red, green and blue, in [0, 1], are standardised.
+        precision: "fp32", or "bf16" for autocast.
+    """
+
+    width: int
+    size: int
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+    precision: Literal["fp32", "bf16"]
+
+    def __post_init__(self) -> None:
+        require(self.width in WIDTHS, f"width = {self.width}: must be one of {', '.join(map(str, WIDTHS))}")
+        require_positive(self, "size")
+        require(len(self.mean) == len(self.std) == 3, "mean and std must have three numbers each")
+        require(min(self.std) > 0, f"std = {list(self.std)}: must be above 0")
+
+    def standardise(self, frames: Tensor) -> Tensor:
+        """(B, H, W, 3) uint8 -> (B, 3, H, W) float32, channels last in memory."""
+        mean, std = (255 * torch.tensor(values, device=frames.device) for values in (self.mean, self.std))
+        return ((frames - mean) / std).permute(0, 3, 1, 2)
+
+
+class FrameEncoder:
+    """Maps frames to features on one device. A frame's features depend on that frame alone, to the last bit."""
+
+    def __init__(self, network: ResNet18, encoding: Encoding, device: torch.device) -> None:
+        self.encoding, self.device = encoding, device
+        self.network = network.to(device, memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+
+    def __call__(self, frames: np.ndarray) -> np.ndarray:
+        """Features (B, 512) float32 of frames (B, size, size, 3) uint8 RGB.
+
+        Raises:
+            UserError: frames of another size.
+        """
+        size = self.encoding.size
+        if frames.shape[1:] != (size, size, 3) or frames.dtype != np.uint8:
+            raise UserError(
+                f"the encoder takes uint8 frames (B, {size}, {size}, 3), not {frames.dtype} {frames.shape}:"
+                " the camera, data/frames and the encoder must have one size"
+            )
+        features = np.empty((len(frames), FEATURES), dtype=np.float32)
+        batch = np.zeros((BATCH, size, size, 3), dtype=np.uint8)
+        for start in range(0, len(frames), BATCH):
+            part = frames[start : start + BATCH]
+            batch[: len(part)] = part
+            features[start : start + BATCH] = self._encode(batch)[: len(part)]
+        return features
+
+    @torch.inference_mode()
+    def _encode(self, batch: np.ndarray) -> np.ndarray:
+        pictures = self.encoding.standardise(torch.from_numpy(batch).to(self.device))
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.encoding.precision == "bf16"):
+            return self.network(pictures).float().cpu().numpy()
+
+
+def save(folder: Path, network: ResNet18, encoding: Encoding, provenance: Mapping[str, Any]) -> None:
+    """Write the encoder's two files into an existing folder."""
+    weights = {name: value.cpu().contiguous() for name, value in network.state_dict().items()}
+    with replacing(folder / WEIGHTS) as temporary:
+        temporary.write_bytes(safetensors.torch.save(weights))
+    description = {
+        "architecture": "resnet18",
+        "encoding": dataclasses.asdict(encoding),
+        "provenance": dict(provenance),
+        "sha256": sha256(folder / WEIGHTS),
+    }
+    write_json(folder / DESCRIPTION, description)
+
+
+def load(folder: Path, device: torch.device) -> FrameEncoder:
+    """Read an encoder.
+
+    Raises:
+        UserError: a file is missing, damaged or altered.
+    """
+    description = read_json(folder / DESCRIPTION)
+    encoding = build(Encoding, description.get("encoding"), f"{folder / DESCRIPTION}: encoding")
+    weights = folder / WEIGHTS
+    if not weights.is_file():
+        raise UserError(f"{weights} is missing")
+    if sha256(weights) != description.get("sha256"):
+        raise UserError(f"{weights} is not the file that {DESCRIPTION} describes: its SHA-256 differs")
+    return FrameEncoder(network(encoding.width, safetensors.torch.load_file(weights), str(weights)), encoding, device)
+
+
+def network(width: int, weights: Mapping[str, Tensor], where: str) -> ResNet18:
+    """A network with given weights; those of a classifier, `fc.*`, are left out.
+
+    Raises:
+        UserError: they are not the weights of a ResNet-18 of this width.
+    """
+    made = ResNet18(width, torch.Generator())  # initial weights, overwritten below
+    expected = {name: tuple(value.shape) for name, value in made.state_dict().items()}
+    found = {name: value for name, value in weights.items() if not name.startswith("fc.")}
+    for name in sorted(expected.keys() | found.keys()):
+        shape = tuple(found[name].shape) if name in found else None
+        if shape != expected.get(name):
+            mismatch = f"{name} has shape {shape}, not {expected.get(name)}"
+            raise UserError(f"{where} does not hold a ResNet-18 of width {width}: {mismatch}")
+    made.load_state_dict(found)
+    return made

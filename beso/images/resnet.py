@@ -1,0 +1,78 @@
+"""ResNet-18 (He et al. 2016) without its classifier.
+
+Parameters have torchvision's names, so that published weights load.
+"""
+
+import math
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+FEATURES: Final = 512
+WIDTHS: Final = {64: (1, 1), 32: (1, 2), 16: (2, 2), 8: (2, 4)}  # parts of the picture (rows, columns) pooled apart
+BLOCKS: Final = 2  # a stage
+
+
+class BasicBlock(nn.Module):
+    """Two 3x3 convolutions and a shortcut, which is a 1x1 convolution where the shape changes."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(inputs, outputs, 3, stride, padding=1, bias=False)
+        self.bn1 = nn.BatchNorm2d(outputs)
+        self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1, bias=False)
+        self.bn2 = nn.BatchNorm2d(outputs)
+        self.downsample: nn.Module = nn.Identity()
+        if stride != 1 or inputs != outputs:
+            shortcut = nn.Conv2d(inputs, outputs, 1, stride, bias=False)
+            self.downsample = nn.Sequential(shortcut, nn.BatchNorm2d(outputs))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, inputs, H, W) -> (B, outputs, ceil(H / stride), ceil(W / stride))."""
+        inner = functional.relu(self.bn1(self.conv1(x)))
+        return functional.relu(self.bn2(self.conv2(inner)) + self.downsample(x))
+
+
+class ResNet18(nn.Module):
+    """The network up to its pooling: 512 features of a picture.
+
+    Args:
+        width: channels of the first stage, 64 in the published network; each of the next three stages has twice as
+            many as the one before. A narrower network pools parts of the picture apart (WIDTHS), so that it has 512
+            features too: channels of the last stage times parts.
+        generator: initial weights are drawn from it as torchvision does (He et al. 2015, fan out).
+
+    Raises:
+        ValueError: the width is not one of WIDTHS.
+    """
+
+    def __init__(self, width: int, generator: torch.Generator) -> None:
+        super().__init__()
+        if width not in WIDTHS:
+            raise ValueError(f"width = {width}: must be one of {', '.join(map(str, WIDTHS))}")
+        self.parts = WIDTHS[width]
+        self.conv1 = nn.Conv2d(3, width, 7, stride=2, padding=3, bias=False)
+        self.bn1 = nn.BatchNorm2d(width)
+        self.layer1 = _stage(width, width, 1)
+        self.layer2 = _stage(width, 2 * width, 2)
+        self.layer3 = _stage(2 * width, 4 * width, 2)
+        self.layer4 = _stage(4 * width, 8 * width, 2)
+        with torch.no_grad():
+            for module in self.modules():
+                if isinstance(module, nn.Conv2d):
+                    fan_out = module.out_channels * math.prod(module.kernel_size)
+                    module.weight.normal_(0, math.sqrt(2 / fan_out), generator=generator)
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        """Features (B, 512) of pictures (B, 3, H, W) whose channels have been standardised."""
+        x = functional.relu(self.bn1(self.conv1(pictures)))
+        x = functional.max_pool2d(x, 3, stride=2, padding=1)
+        x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
+        return functional.adaptive_avg_pool2d(x, self.parts).flatten(1)
+
+
+def _stage(inputs: int, outputs: int, stride: int) -> nn.Sequential:
+    rest = [BasicBlock(outputs, outputs, 1) for _ in range(BLOCKS - 1)]
+    return nn.Sequential(BasicBlock(inputs, outputs, stride), *rest)
