@@ -13,6 +13,21 @@ def play(environment: str) -> Path:
     return Path("data/play") / environment
 
 
+def raw(environment: str) -> Path:
+    """Raw play of an environment that sees images."""
+    return Path("data/raw") / environment
+
+
+def frames(environment: str) -> Path:
+    """Packed frames of an environment that sees images."""
+    return Path("data/frames") / environment
+
+
+def probe(environment: str) -> Path:
+    """What the features of an environment's frames tell of its state."""
+    return Path("results/probe") / f"{environment}.csv"
+
+
 def models(environment: str, method: str) -> Path:
     """Trained models of one cell."""
     return Path("models") / environment / method
