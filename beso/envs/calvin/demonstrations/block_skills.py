@@ -9,7 +9,7 @@ import numpy as np
 from beso.envs.calvin.demonstrations.grasps import LEANING, Grasp, find_grasp, grasp_yaw
 from beso.envs.calvin.demonstrations.hand import SAFE_HEIGHT, YAW, Hand, Motion
 from beso.envs.calvin.demonstrations.layout import BEHIND
-from beso.envs.calvin.observations import CLOSE, OPEN
+from beso.envs.calvin.simulator.observations import CLOSE, OPEN
 
 PUSH_HEIGHT: Final = 0.462  # m, of the finger tips beside a block
 SLIDER_FRONT: Final = (-0.06, 0.60)  # y and z before the cabinet, from where its floor is reached over the edge

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from beso.envs.calvin.demonstrations.hand import DOWN, Hand, Motion, Place
-from beso.envs.calvin.observations import CLOSE, DRAWER, LED, SLIDE, SWITCH
+from beso.envs.calvin.simulator.observations import CLOSE, DRAWER, LED, SLIDE, SWITCH
 from beso.envs.calvin.simulator.table import DRAWER_TRAVEL, SLIDE_TRAVEL, SWITCH_TRAVEL
 
 BUTTON_TOP = np.array([-0.12, -0.12, 0.486])

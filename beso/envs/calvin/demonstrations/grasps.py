@@ -24,7 +24,7 @@ from beso.envs.calvin.demonstrations.layout import (
     others,
     place_of,
 )
-from beso.envs.calvin.observations import BLOCKS, DRAWER, block_slice
+from beso.envs.calvin.simulator.observations import BLOCKS, DRAWER, block_slice
 from beso.envs.calvin.simulator.table import BLOCK_SIZES
 
 LEANING: Final = (DOWN[0], -0.5)  # tilt of a hand with its fingers pointing down and, at a yaw of pi/2, away

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from beso.envs.calvin.observations import CLOSE, OPEN, TCP_EULER, TCP_POSITION, block_slice, wrap
 from beso.envs.calvin.simulator.arm import ANGLE_STEP, POSITION_STEP
+from beso.envs.calvin.simulator.observations import CLOSE, OPEN, TCP_EULER, TCP_POSITION, block_slice, wrap
 from beso.envs.calvin.simulator.play_table import PlayTable
 
 Motion = Iterator[np.ndarray]

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from beso.envs.calvin.demonstrations.fixture_skills import BUTTON_TOP, slide_handle
-from beso.envs.calvin.observations import BLOCKS, DRAWER, SLIDE, block_slice
 from beso.envs.calvin.simulator.arm import BASE_POSITION
+from beso.envs.calvin.simulator.observations import BLOCKS, DRAWER, SLIDE, block_slice
 from beso.envs.calvin.simulator.table import SLIDE_TRAVEL
 
 ON_TABLE, ON_BLOCK, IN_SLIDER, IN_DRAWER, LOST = "table", "block", "slider", "drawer", "lost"

@@ -22,9 +22,9 @@ import cv2
 import numpy as np
 
 from beso.data.play import read_npy, write_npy
-from beso.envs.calvin import tasks
 from beso.envs.calvin.demonstrations.raw import BATCH, RawPlay, writing
-from beso.envs.calvin.observations import ACTION_SIZE, ROBOT_SIZE, SCENE_SIZE
+from beso.envs.calvin.simulator import tasks
+from beso.envs.calvin.simulator.observations import ACTION_SIZE, ROBOT_SIZE, SCENE_SIZE
 from beso.errors import UserError
 from beso.files import replacing
 

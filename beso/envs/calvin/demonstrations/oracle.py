@@ -4,13 +4,13 @@ from typing import Final
 
 import numpy as np
 
-from beso.envs.calvin import tasks
 from beso.envs.calvin.demonstrations.hand import Hand, Motion
 from beso.envs.calvin.demonstrations.layout import others
 from beso.envs.calvin.demonstrations.placing_skills import drawer_middle
 from beso.envs.calvin.demonstrations.player import draw_start
 from beso.envs.calvin.demonstrations.repertoire import Skill, with_block, with_free_hand
-from beso.envs.calvin.observations import BLOCKS, DRAWER, block_slice
+from beso.envs.calvin.simulator import tasks
+from beso.envs.calvin.simulator.observations import BLOCKS, DRAWER, block_slice
 from beso.envs.calvin.simulator.play_table import PlayTable
 from beso.envs.calvin.simulator.spawn import OPEN_DRAWER
 

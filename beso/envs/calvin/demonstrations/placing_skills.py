@@ -7,7 +7,7 @@ from functools import partial
 from typing import Final
 
 from beso.envs.calvin.demonstrations.hand import YAW, Hand, Motion
-from beso.envs.calvin.observations import DRAWER, SLIDE
+from beso.envs.calvin.simulator.observations import DRAWER, SLIDE
 from beso.envs.calvin.simulator.table import SLIDE_TRAVEL
 
 CARRYING_HEIGHT: Final = 0.60  # m; a block in the fingers clears those on the table

@@ -12,11 +12,11 @@ from beso.envs.calvin.demonstrations.hand import YAW, Hand, Manner, Motion
 from beso.envs.calvin.demonstrations.layout import LOST, ON_TABLE, place_of
 from beso.envs.calvin.demonstrations.placing_skills import carry_clear
 from beso.envs.calvin.demonstrations.repertoire import Skill, with_block, with_free_hand
-from beso.envs.calvin.observations import BLOCKS, FIXTURES, SLIDE, block_slice
+from beso.envs.calvin.simulator.observations import BLOCKS, FIXTURES, SLIDE, block_slice
 from beso.envs.calvin.simulator.play_table import PlayTable
 from beso.envs.calvin.simulator.spawn import draw_fixtures, draw_scene
+from beso.envs.calvin.simulator.state import ROBOT
 from beso.envs.calvin.simulator.table import SLIDE_TRAVEL
-from beso.envs.calvin.state import ROBOT
 
 DETOUR_SHARE, PAUSE_SHARE = 0.2, 0.15  # of the gaps between skills
 DETOUR_LOW, DETOUR_HIGH = np.array([-0.15, -0.32, 0.58]), np.array([0.25, -0.15, 0.68])  # tcp, metres

@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 import numpy as np
 
 from beso.data.play import read_npy, write_npy
-from beso.envs.calvin import tasks
-from beso.envs.calvin.observations import ACTION_SIZE, ROBOT_SIZE, SCENE_SIZE
+from beso.envs.calvin.simulator import tasks
+from beso.envs.calvin.simulator.observations import ACTION_SIZE, ROBOT_SIZE, SCENE_SIZE
 from beso.errors import UserError
 from beso.files import read_json, replacing, sha256, write_json
 

@@ -25,7 +25,7 @@ from beso.envs.calvin.demonstrations.layout import (
     others,
     place_of,
 )
-from beso.envs.calvin.observations import BLOCKS, DRAWER, LED, LIGHTBULB, SLIDE, SWITCH, block_slice
+from beso.envs.calvin.simulator.observations import BLOCKS, DRAWER, LED, LIGHTBULB, SLIDE, SWITCH, block_slice
 from beso.envs.calvin.simulator.table import SLIDE_TRAVEL, SWITCH_TRAVEL
 
 PARTIAL_SHARE = 0.15  # of the movements of drawer, door and blocks that stop halfway and complete no task

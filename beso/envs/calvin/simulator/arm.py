@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from beso.envs.calvin.observations import (
+from beso.envs.calvin.simulator.client import Client
+from beso.envs.calvin.simulator.observations import (
     ARM_JOINTS,
     CLOSE,
     GRIPPER_COMMAND,
@@ -18,7 +19,6 @@ from beso.envs.calvin.observations import (
     TCP_EULER,
     TCP_POSITION,
 )
-from beso.envs.calvin.simulator.client import Client
 
 BASE_POSITION = (-0.34, -0.46, 0.24)
 NEUTRAL_JOINTS = np.array([-1.21779206, 1.03987646, 2.11978261, -2.34205014, -0.87015947, 1.64119353, 0.55344866])

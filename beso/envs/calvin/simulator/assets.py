@@ -7,7 +7,7 @@ github.com/mees/calvin_env.
 from dataclasses import dataclass
 from pathlib import Path
 
-from beso.envs.calvin.observations import BLOCKS
+from beso.envs.calvin.simulator.observations import BLOCKS
 from beso.envs.calvin.simulator.panda import panda_urdf
 from beso.envs.calvin.simulator.table import block_urdf, table_urdf
 from beso.errors import UserError

@@ -3,7 +3,7 @@
 The environment of the paper's CALVIN experiments (Mees et al. 2022), written anew: control, physics, joints, state
 vectors, camera and start distribution are CALVIN's, the looks are our own (flat colours), unless a folder with
 CALVIN's files is given. There is no reward and no termination: tasks are judged from `info["state"]`, see
-`beso.envs.calvin.tasks`.
+`beso.envs.calvin.simulator.tasks`.
 """
 
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from beso.envs.calvin.observations import ACTION_SIZE
+from beso.envs.calvin.simulator.observations import ACTION_SIZE
 from beso.envs.calvin.simulator.play_table import CONTROL_HZ, PlayTable
 from beso.envs.calvin.simulator.spawn import CLOSED_FIXTURES, draw_scene
 
@@ -28,7 +28,7 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     Observations are (size, size, 3) uint8 RGB. Actions are (7,): xyz, euler xyz, gripper (> 0 opens), in [-1, 1].
 
-    `info` holds "robot_obs" (15,) and "scene_obs" (24,), see `beso.envs.calvin.observations`, and "state", a
+    `info` holds "robot_obs" (15,) and "scene_obs" (24,), see `beso.envs.calvin.simulator.observations`, and "state", a
     TableState.
 
     Raises:

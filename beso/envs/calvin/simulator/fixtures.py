@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from beso.envs.calvin.observations import BUTTON, LED, LIGHTBULB, SLIDE, SWITCH
 from beso.envs.calvin.simulator.client import Client
+from beso.envs.calvin.simulator.observations import BUTTON, LED, LIGHTBULB, SLIDE, SWITCH
 from beso.envs.calvin.simulator.urdf import SCALE
 
 JOINTS: Final = ("base__slide", "base__drawer", "base__button", "base__switch")  # in the order of scene_obs

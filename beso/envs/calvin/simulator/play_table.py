@@ -7,7 +7,12 @@ from typing import Final
 import numpy as np
 import pybullet_data
 
-from beso.envs.calvin.observations import (
+from beso.envs.calvin.simulator.arm import Arm, neutral_robot_obs
+from beso.envs.calvin.simulator.assets import Assets, official_assets, write_assets
+from beso.envs.calvin.simulator.camera import picture
+from beso.envs.calvin.simulator.client import Client
+from beso.envs.calvin.simulator.fixtures import Fixtures
+from beso.envs.calvin.simulator.observations import (
     BLOCKS,
     DRAWER,
     FIXTURES,
@@ -18,13 +23,8 @@ from beso.envs.calvin.observations import (
     SLIDE,
     block_slice,
 )
-from beso.envs.calvin.simulator.arm import Arm, neutral_robot_obs
-from beso.envs.calvin.simulator.assets import Assets, official_assets, write_assets
-from beso.envs.calvin.simulator.camera import picture
-from beso.envs.calvin.simulator.client import Client
-from beso.envs.calvin.simulator.fixtures import Fixtures
+from beso.envs.calvin.simulator.state import FLOOR, ROBOT, TABLE, BlockState, TableState
 from beso.envs.calvin.simulator.urdf import SCALE
-from beso.envs.calvin.state import FLOOR, ROBOT, TABLE, BlockState, TableState
 
 CONTROL_HZ, PHYSICS_HZ = 30, 240
 SUBSTEPS: Final = PHYSICS_HZ // CONTROL_HZ

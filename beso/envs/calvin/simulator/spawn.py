@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from beso.envs.calvin.observations import BLOCKS, SCENE_SIZE, block_slice
+from beso.envs.calvin.simulator.observations import BLOCKS, SCENE_SIZE, block_slice
 from beso.envs.calvin.simulator.table import BLOCK_SIZES, SLIDE_TRAVEL, SWITCH_TRAVEL
 
 SURFACES: Final = {  # (low, high) of the blocks' centres, x and y, metres

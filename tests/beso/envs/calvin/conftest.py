@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from beso.envs.calvin.observations import block_slice
+from beso.envs.calvin.simulator.observations import block_slice
 from beso.envs.calvin.simulator.play_table import PlayTable
 
 

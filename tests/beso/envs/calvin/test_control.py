@@ -6,7 +6,7 @@ import pytest
 from beso.envs.calvin.demonstrations.block_skills import lift
 from beso.envs.calvin.demonstrations.hand import Hand
 from beso.envs.calvin.demonstrations.oracle import perform
-from beso.envs.calvin.observations import GRIPPER_COMMAND, GRIPPER_WIDTH, TCP_EULER, TCP_POSITION, block_slice
+from beso.envs.calvin.simulator.observations import GRIPPER_COMMAND, GRIPPER_WIDTH, TCP_EULER, TCP_POSITION, block_slice
 from beso.envs.calvin.simulator.play_table import PlayTable
 
 

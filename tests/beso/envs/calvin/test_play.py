@@ -5,10 +5,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from beso.envs.calvin import tasks
 from beso.envs.calvin.demonstrations.layout import IN_SLIDER, ON_TABLE, place_of
 from beso.envs.calvin.demonstrations.player import draw_start
 from beso.envs.calvin.demonstrations.scripted import _labels, record
+from beso.envs.calvin.simulator import tasks
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,9 @@ import time
 import numpy as np
 import pytest
 
-from beso.envs.calvin.observations import (
+from beso.envs.calvin.simulator.arm import NEUTRAL_JOINTS
+from beso.envs.calvin.simulator.assets import official_assets, write_assets
+from beso.envs.calvin.simulator.observations import (
     ARM_JOINTS,
     BUTTON,
     DRAWER,
@@ -17,8 +19,6 @@ from beso.envs.calvin.observations import (
     TCP_POSITION,
     block_slice,
 )
-from beso.envs.calvin.simulator.arm import NEUTRAL_JOINTS
-from beso.envs.calvin.simulator.assets import official_assets, write_assets
 from beso.envs.calvin.simulator.play_table import PlayTable
 from beso.envs.calvin.simulator.table import BLOCK_SIZES
 from beso.errors import UserError

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from beso.envs.calvin import tasks
 from beso.envs.calvin.demonstrations.hand import Hand, Manner
 from beso.envs.calvin.demonstrations.oracle import perform, prepare
 from beso.envs.calvin.demonstrations.placing_skills import neutral
-from beso.envs.calvin.observations import TCP_POSITION
+from beso.envs.calvin.simulator import tasks
+from beso.envs.calvin.simulator.observations import TCP_POSITION
 
 SEEDS = 3
 

@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 
-from beso.envs.calvin.observations import LIGHTBULB, SWITCH, block_slice
+from beso.envs.calvin.simulator.observations import LIGHTBULB, SWITCH, block_slice
 from beso.envs.calvin.simulator.spawn import CLOSED_FIXTURES, SURFACES, draw_fixtures, draw_scene
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from beso.envs.calvin.state import BlockState, TableState
-from beso.envs.calvin.tasks import NAMES, completed, names_of, turn
+from beso.envs.calvin.simulator.state import BlockState, TableState
+from beso.envs.calvin.simulator.tasks import NAMES, completed, names_of, turn
 
 CALVINS_ORDER = (
     "rotate_red_block_right",

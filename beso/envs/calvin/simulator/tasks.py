@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from beso.envs.calvin.observations import BLOCKS
-from beso.envs.calvin.state import ROBOT, TABLE, TableState
+from beso.envs.calvin.simulator.observations import BLOCKS
+from beso.envs.calvin.simulator.state import ROBOT, TABLE, TableState
 
 Predicate = Callable[[TableState, TableState], bool]
 
