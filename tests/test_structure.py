@@ -12,6 +12,8 @@ ROOT = Path(__file__).parents[1]
 PROJECT = ("beso", "pipeline", "stages")
 STAGES = YAML(typ="safe").load((ROOT / "dvc.yaml").read_text())["stages"]
 ENVIRONMENTS, METHODS = envs.names(), methods.names()
+IMAGES = sorted(path.parent.name for path in (ROOT / "beso/envs").glob("*/encoder.py"))  # see images
+OF_IMAGES = {"preprocess", "features"}  # stages of these alone
 
 # Not among the deps: what checks parameters (their values are tracked themselves), moves files, writes messages, starts
 # workers or imports by name. Imports are not followed through these files either.
@@ -98,6 +100,8 @@ def by_name(stage, env, method):
     played = [f"beso/methods/{method}.py", *room(env, "spec.py", "evaluation.py")]
     return {
         "collect": room(env, "spec.py", "demonstrations/*.py"),
+        "preprocess": room(env, "demonstrations/raw.py"),
+        "features": room(env, "probe.py"),
         "train": [f"beso/methods/{method}.py", *room(env, "spec.py")],
         "evaluate": played,
         "study": played,
@@ -118,15 +122,15 @@ def test_deps_are_what_the_stage_imports(stage):
 
     Training neither acts nor checks samplings, which is where methods import samplers (beso.diffusion.score_policy).
     """
-    used_by_any = set()
-    for env in ENVIRONMENTS:
+    used_by_any, environments = set(), IMAGES if stage in OF_IMAGES else ENVIRONMENTS
+    for env in environments:
         for method in METHODS:
             entry = [f"stages/{stage}.py", *by_name(stage, env, method)]
             used = closure(entry, within_functions=stage != "train")
             names = declared(stage, env, method)
             assert used - names == set(), "imported, but not among the deps"
             used_by_any |= used
-    extra = set().union(*(declared(stage, e, m) for e in ENVIRONMENTS for m in METHODS)) - used_by_any
+    extra = set().union(*(declared(stage, e, m) for e in environments for m in METHODS)) - used_by_any
     assert stage in WHOLE or extra == set(), "among the deps, but never imported"
 
 
@@ -135,6 +139,7 @@ def stale(path):
     return {
         f"{stage} {method}"
         for stage in STAGES
+        if stage not in OF_IMAGES
         for method in ("c_beso", "gcbc")
         if Path(path) in declared(stage, "block_push", method)
     }
@@ -195,7 +200,7 @@ def test_nothing_outside_its_room_names_an_environment_or_a_method(kind):
                 assert node.value not in names or path == ROOT / "pipeline/tools/bench.py", (path, node.value)
     text = (ROOT / "dvc.yaml").read_text()
     assert not [name for name in names if name in text]
-    assert len(text.splitlines()) <= 160
+    assert len(text.splitlines()) <= 187
 
 
 def test_stage_scripts_are_short():

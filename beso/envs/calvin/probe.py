@@ -2,8 +2,8 @@
 
 from typing import Final
 
-from beso.envs.calvin import observations as obs
-from beso.envs.calvin.tasks import DOOR, DRAWER
+from beso.envs.calvin.simulator import observations as obs
+from beso.envs.calvin.simulator.tasks import DOOR, DRAWER
 from beso.images.probe import Target
 
 SCENE: Final = obs.ROBOT_SIZE  # where scene_obs starts in packed states
