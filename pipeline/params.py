@@ -392,13 +392,15 @@ def parse(values: Any, where: str) -> Params:
         if (environment.collect.to == "raw") != images:
             allowed = "raw: its policies see images" if images else "play: its policies see states"
             raise UserError(f"{where}.environments.{name}.collect.to = {environment.collect.to!r}: must be {allowed}")
-        if (name in params.images) != images:
-            raise UserError(f"{where}.images.{name} is missing" if images else f"{where}.images.{name}: sees no images")
+        if images and name not in params.images:
+            raise UserError(f"{where}.images.{name} is missing: its policies see images")
         if images:
             _sizes(environment.collect, params.images[name], f"{where}.images.{name}")
     for name in params.images:
         if name not in params.environments:
             raise UserError(f"{where}.environments.{name} is missing: images.{name} names it")
+        if not envs.sees_images(name):
+            raise UserError(f"{where}.images.{name}: the policies of this environment see states")
     for key, cell in params.cells.items():
         if cell.env not in params.environments:
             raise UserError(f"{where}.environments.{cell.env} is missing: cells.{key} names it")

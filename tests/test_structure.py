@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 PROJECT = ("beso", "pipeline", "stages")
 STAGES = YAML(typ="safe").load((ROOT / "dvc.yaml").read_text())["stages"]
 ENVIRONMENTS, METHODS = envs.names(), methods.names()
-IMAGES = sorted(path.parent.name for path in (ROOT / "beso/envs").glob("*/encoder.py"))  # see images
+IMAGES = sorted(path.parts[-3] for path in (ROOT / "beso/envs").glob("*/demonstrations/raw.py"))
 OF_IMAGES = {"preprocess", "features"}  # stages of these alone
 
 # Not among the deps: what checks parameters (their values are tracked themselves), moves files, writes messages, starts

@@ -11,7 +11,6 @@ An environment that sees images has, instead of `record` and `published.py`,
 
     <name>/demonstrations/recording.py  record, join, convert: raw play, with frames (beso.envs.protocol.Recording)
     <name>/demonstrations/raw.py        load(folder): raw play
-    <name>/encoder.py                   load(folder, device): from frames to features (beso.images.encoder)
     <name>/probe.py                     TARGETS: what the features should tell (beso.images.probe)
 
 Rooms are imported by name and piece by piece, so that training needs no simulator and a pipeline cell depends on the
@@ -65,8 +64,8 @@ def importer(name: str) -> Importer:
 
 
 def sees_images(name: str) -> bool:
-    """Whether policies of one environment see images, through an encoder."""
-    return name in names() and (Path(__path__[0]) / name / "encoder.py").is_file()
+    """Whether policies of one environment see images, through an encoder: then it has raw play."""
+    return name in names() and (Path(__path__[0]) / name / "demonstrations" / "raw.py").is_file()
 
 
 def recording(name: str) -> Recording:

@@ -20,6 +20,7 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
+from tqdm import tqdm
 
 from beso.data.play import read_npy, write_npy
 from beso.envs.calvin.demonstrations.raw import BATCH, RawPlay, writing
@@ -128,7 +129,9 @@ def convert(
         UserError: see `layout` and `read_frame`; frames of unequal sizes.
     """
     layouts = [layout(folder) for folder in (source, *further)]
-    with writing(target, {"labelled": False, **meta}) as writer, ThreadPoolExecutor(workers) as pool:
+    frames = sum(last - first + 1 for found in layouts for first, last in found.episodes)
+    progress = tqdm(total=frames, desc="convert", unit="frame", disable=None)
+    with writing(target, {"labelled": False, **meta}) as writer, ThreadPoolExecutor(workers) as pool, progress:
         shape = None
         for found, (first, last) in [(part, bounds) for part in layouts for bounds in part.episodes]:
             for start in range(first, last + 1, BATCH):
@@ -143,6 +146,7 @@ def convert(
                 columns = {key: np.stack([row[key] for row in rows]) for key in ("frames", *STATE_SIZES)}
                 columns["tasks"] = np.zeros((len(rows), len(tasks.NAMES)))
                 writer.append({**columns, "segment_starts": segment_starts})
+                progress.update(len(rows))
             writer.end_episode()
 
 
