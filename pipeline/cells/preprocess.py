@@ -1,7 +1,7 @@
 """Packed frames of one environment, from its raw play."""
 
 from beso import envs
-from beso.data.play import split_episodes
+from beso.errors import UserError
 from beso.images import frames
 from beso.seeding import generator
 from pipeline import paths
@@ -15,8 +15,10 @@ def preprocess(params: Params, environment: str) -> None:
     play = envs.raw(environment).load(folder)
     held_out = play.meta.get("held_out_episodes")  # where the published data say so
     if not held_out:
-        rng = generator(params.seed, "held-out frames")
-        held_out = sorted(split_episodes(len(play), 1 - settings.held_out, rng)[1].tolist())
+        if len(play) < 2:
+            raise UserError(f"{folder} has one episode; of two or more, some are held out")
+        count = min(max(round(settings.held_out * len(play)), 1), len(play) - 1)
+        held_out = sorted(generator(params.seed, "held-out frames").permutation(len(play))[:count].tolist())
     described = frames.pack(
         frames.FrameFile(folder / "frames.npy"),
         play.columns,
