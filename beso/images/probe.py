@@ -22,16 +22,24 @@ class Target:
         name: what the report calls it.
         columns: its numbers in the simulator's states.
         threshold: of one number, where its two sides meet; None for places.
+        margin: steps closer than that to the threshold are on neither side, as a door half open; they do not count.
     """
 
     name: str
     columns: tuple[int, ...]
     threshold: float | None = None
+    margin: float = 0.0
 
     def values(self, states: np.ndarray) -> np.ndarray:
         """(T, S) -> (T, D): -1 or 1, or the numbers themselves."""
         chosen = np.asarray(states, dtype=np.float64)[:, list(self.columns)]
         return chosen if self.threshold is None else np.where(chosen > self.threshold, 1.0, -1.0)
+
+    def counts(self, states: np.ndarray) -> np.ndarray:
+        """Which steps are measured, (T,) booleans."""
+        if self.threshold is None:
+            return np.ones(len(states), dtype=bool)
+        return np.abs(np.asarray(states, dtype=np.float64)[:, self.columns[0]] - self.threshold) >= self.margin
 
 
 def probe(
@@ -56,14 +64,14 @@ def probe(
         predicted = fit(features, values, held_out)
         for target, stop in zip(targets, stops, strict=True):
             part = slice(stop - len(target.columns), stop)
-            true = values[held_out, part]
+            true, counted = values[held_out, part], target.counts(states[held_out])
             rows.append(
                 {
                     "target": target.name,
                     "representation": name,
                     "measure": "error" if target.threshold is None else "accuracy",
-                    "value": _measure(target, predicted[:, part], true),
-                    "constant": _measure(target, constant[:, part], true),
+                    "value": _measure(target, predicted[counted, part], true[counted]),
+                    "constant": _measure(target, constant[counted, part], true[counted]),
                 }
             )
     return rows

@@ -77,3 +77,16 @@ def test_targets_of_calvin_name_numbers_of_its_state():
         "hand": [0, 1, 2],
         "gripper": [6],
     }
+
+
+def test_steps_in_the_middle_are_on_neither_side():
+    target, states = Target("door", (0,), 0.5, margin=0.2), np.array([[0.0], [0.29], [0.31], [0.69], [0.71], [1.0]])
+    assert target.counts(states).tolist() == [True, True, False, False, True, True]
+    rng = np.random.default_rng(0)
+    door = rng.uniform(size=(4000, 1))
+    held_out = np.arange(4000) >= 3000
+    confused = np.where(np.abs(door - 0.5) < 0.15, 1 - door, door)
+    (row,) = probe.probe({"door": confused}, door, held_out, (target,))
+    assert row["value"] == 1
+    (row,) = probe.probe({"door": confused}, door, held_out, (Target("door", (0,), 0.5),))
+    assert row["value"] < 0.8
