@@ -113,7 +113,7 @@ def by_name(stage, env, method):
     }[stage]
 
 
-WHOLE = {"tables", "page", "latency", "fork"}  # folders as they are, though not all of them is imported
+WHOLE = {"features", "tables", "page", "latency", "fork"}  # folders as they are, though not all of them is imported
 
 
 @pytest.mark.parametrize("stage", STAGES)

@@ -54,7 +54,7 @@ def probe(
 
     Returns:
         Columns: target, representation, measure ("accuracy" or "error"), value, and constant: the value of the best
-        answer that does not look.
+        answer that does not look. Both are NaN if no step could be measured.
     """
     rows = []
     values = np.concatenate([target.values(states) for target in targets], axis=1)
@@ -78,6 +78,8 @@ def probe(
 
 
 def _measure(target: Target, predicted: np.ndarray, true: np.ndarray) -> float:
+    if len(true) == 0:
+        return float("nan")
     if target.threshold is None:
         return float(np.sqrt(np.square(predicted - true).sum(axis=1).mean()))
     return float((np.sign(predicted) == true).mean())
