@@ -23,6 +23,11 @@ def frames(environment: str) -> Path:
     return Path("data/frames") / environment
 
 
+def samples(environment: str) -> Path:
+    """Some of an environment's frames, as one picture."""
+    return Path("results/samples") / f"{environment}.png"
+
+
 def probe(environment: str) -> Path:
     """What the features of an environment's frames tell of its state."""
     return Path("results/probe") / f"{environment}.csv"

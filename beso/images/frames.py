@@ -5,7 +5,6 @@
     tasks.npy          (steps, K)              uint8, 1 where a task is completed
     states.npy         (steps, S)              float32, the simulator's state; only the probe reads it
     episode_ends.npy   (episodes,)             int64, index one past each episode's last step
-    samples.png        some of the frames
     meta.json          source, held-out episodes, channel statistics, SHA-256 of the arrays
 
 Frames are read and written a block at a time, so that memory does not grow with their number.
@@ -27,7 +26,6 @@ from beso.files import read_json, replacing, sha256, write_json
 COLUMNS: Final = ("actions", "tasks", "states")
 ARRAYS: Final = ("frames", *COLUMNS, "episode_ends")
 BLOCK: Final = 256  # frames
-SAMPLES: Final = (4, 8)  # rows and columns of samples.png
 
 
 class FrameFile:
@@ -145,7 +143,6 @@ def pack(
         for name in COLUMNS:
             write_npy(temporary / f"{name}.npy", columns[name])
         write_npy(temporary / "episode_ends.npy", episode_ends)
-        _write_samples(FrameFile(temporary / "frames.npy"), temporary / "samples.png")
         mean, std = statistics.result()
         description = {
             **meta,
@@ -187,13 +184,14 @@ class _ChannelStatistics:
         return (mean / 255).tolist(), (std / 255).tolist()
 
 
-def _write_samples(frames: FrameFile, path: Path) -> None:
-    rows, columns = SAMPLES
+def write_samples(frames: FrameFile, path: Path, rows: int = 4, columns: int = 8) -> None:
+    """Write some frames, from the first to the last, side by side as one PNG."""
     chosen = frames.read(np.linspace(0, len(frames) - 1, rows * columns).astype(int))
     sheet = np.concatenate([np.concatenate(list(chosen[r * columns : (r + 1) * columns]), axis=1) for r in range(rows)])
     # OpenCV's files are blue, green, red.
-    if not cv2.imwrite(str(path), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR)):
-        raise OSError(f"OpenCV cannot write {path}")
+    encoded = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1]
+    with replacing(path) as temporary:
+        temporary.write_bytes(encoded.tobytes())
 
 
 def load(folder: Path, verify: bool = True) -> PackedPlay:

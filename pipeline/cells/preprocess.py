@@ -28,4 +28,6 @@ def preprocess(params: Params, environment: str) -> None:
         paths.frames(environment),
         {"raw": play.meta},
     )
+    packed = frames.FrameFile(paths.frames(environment) / "frames.npy")
+    frames.write_samples(packed, paths.samples(environment))
     print(f"{described['counts']['steps']} frames, {len(held_out)} of {len(play)} episodes held out")

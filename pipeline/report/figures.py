@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import matplotlib.image
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -78,6 +79,7 @@ def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
         caption = f"{title}: held-out loss over its first measurement, a line a seed."
         yield Drawing(f"training_{name}", caption, training_curves(params, names, name))
         if name in params.images:
+            yield Drawing(f"samples_{name}", f"{title}: frames of the play data.", samples(paths.samples(name)))
             caption = f"{title}: what a linear probe reads off features of held-out frames; black, a constant answer."
             yield Drawing(f"probe_{name}", caption, probe(pd.read_csv(paths.probe(name))))
     for table in values["studies"]:
@@ -182,6 +184,16 @@ def scores(params: Params, comparison: pd.DataFrame, names: Names, environment: 
         axis.set_title(metric.label)
     axes[0].set_ylabel(names.environments[environment])
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(bars), frameon=False)
+    return figure
+
+
+def samples(path: Path) -> Figure:
+    """A picture of beso.images.frames.write_samples."""
+    picture = matplotlib.image.imread(path)
+    figure = Figure(figsize=(7, 7 * picture.shape[0] / picture.shape[1]))
+    axis = figure.add_axes((0, 0, 1, 1))
+    axis.imshow(picture)
+    axis.set_axis_off()
     return figure
 
 

@@ -189,6 +189,7 @@ def test_the_probe_compares_with_random_weights_and_the_state_itself(make, recor
     assert set(table["target"]) >= {"drawer", "slider", "led", "lightbulb", "block_red", "hand"}
     rows = table.set_index(["target", "representation"])
     assert rows.loc[("hand", "state"), "value"] < 0.5 * rows.loc[("hand", "state"), "constant"]
+    assert len(figures.samples(paths.samples("calvin")).axes[0].images) == 1
     drawn = figures.probe(table)
     assert [axis.get_ylabel() for axis in drawn.axes] == ["accuracy", "error over that of a constant"]
     assert [len(axis.patches) for axis in drawn.axes] == [4 * 3, 5 * 3]  # targets, representations
