@@ -4,8 +4,9 @@ Two objectives, each with a weight; both see pairs of frames of one episode, up 
 
 inverse dynamics   which action was taken in the first frame, from the features of both: what moves because of the arm
 reconstruction     the frame itself at 28 x 28 pixels, by one linear map from its features. Every pixel counts in units
-                   of its own standard deviation, so that a lamp, a few pixels that seldom change, weighs as much as a
-                   block or the arm
+                   of its own standard deviation, so that a lamp, a few pixels that seldom change, weighs as much as the
+                   arm. Colours are brightness and two opponent colours, so that what is colourful, blocks and lamps,
+                   is not drowned by what is bright, the arm
 
 A killed run continues from its last saved state and ends with the same bytes.
 """
@@ -34,6 +35,9 @@ from beso.seeding import torch_generator
 
 log = logging.getLogger(__name__)
 
+OPPONENT_COLOURS: Final = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]) / np.sqrt(
+    [[3], [2], [6]]
+)  # an orthonormal basis
 GRID: Final = 28  # pixels: the LED of the play table still covers a few
 LEAST_DEVIATION: Final = 4.0  # grey levels; below it a pixel is constant but for rounding
 STATISTICS_FRAMES: Final = 1024
@@ -119,7 +123,7 @@ class Pairs:
         self._action_scale = np.where(deviation > 0, deviation, 1)
         rows = np.flatnonzero(training)
         chosen = rows[np.linspace(0, len(rows) - 1, min(STATISTICS_FRAMES, len(rows))).astype(int)]
-        sample = resize(play.frames.read(chosen), GRID).astype(np.float64)
+        sample = small_pictures(play.frames.read(chosen))
         self._mean, self._deviation = sample.mean(axis=0), np.maximum(sample.std(axis=0), LEAST_DEVIATION)
 
     def sample(self, draws: torch.Generator) -> tuple[np.ndarray, Tensor, Tensor]:
@@ -135,13 +139,18 @@ class Pairs:
         second = first + 1 + integers(np.minimum(config.horizon, self._ends[first] - 1 - first))
         corners = integers(np.full((config.batch_size, 2), 2 * config.shift + 1))
         frames = self._play.frames.read(np.concatenate([first, second]))
-        pictures = (resize(frames, GRID) - self._mean) / self._deviation
+        pictures = (small_pictures(frames) - self._mean) / self._deviation
         actions = self._play.actions[first] / self._action_scale
         return (
             shifted(frames, np.concatenate([corners, corners]), config.shift),
             torch.from_numpy(actions.astype(np.float32)),
             torch.from_numpy(pictures.astype(np.float32)).flatten(1),
         )
+
+
+def small_pictures(frames: np.ndarray) -> np.ndarray:
+    """(B, H, W, 3) uint8 RGB -> (B, 28, 28, 3) in opponent colours, grey levels."""
+    return resize(frames, GRID) @ OPPONENT_COLOURS.T
 
 
 def shifted(frames: np.ndarray, corners: np.ndarray, shift: int) -> np.ndarray:

@@ -79,8 +79,10 @@ def test_targets_are_the_first_frames_action_and_each_frames_small_picture(play)
     pixels, actions, pictures = pairs.sample(draws)
     assert pixels.shape == (8, SIZE, SIZE, 3)
     training = np.flatnonzero(~play.held_out)
-    small = frames.resize(play.frames.read(training), pretraining.GRID).astype(float)
-    expected = (frames.resize(pixels, pretraining.GRID) - small.mean(0)) / np.maximum(small.std(0), 4)
+    colours = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]) / np.sqrt([[3], [2], [6]])
+    assert np.allclose(colours @ colours.T, np.eye(3))
+    small = frames.resize(play.frames.read(training), pretraining.GRID) @ colours.T
+    expected = (frames.resize(pixels, pretraining.GRID) @ colours.T - small.mean(0)) / np.maximum(small.std(0), 4)
     assert np.allclose(pictures.numpy(), expected.reshape(8, -1), atol=1e-5)
     scale = play.actions[training].astype(float).std(axis=0)
     rows = [np.flatnonzero((play.frames.read(np.arange(100)) == frame).all(axis=(1, 2, 3))) for frame in pixels[:4]]
