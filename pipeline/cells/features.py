@@ -89,7 +89,8 @@ def encode_all(encoder_folder: Path, folder: Path, machine: Machine, target: Pat
     jobs = [
         (encoder_folder, folder, start, min(start + SHARE, steps), machine.device) for start in range(0, steps, SHARE)
     ]
-    parts = map_jobs(encode_share, jobs, machine.workers, "features")
+    on_gpu = pick_device(machine.device).type != "cpu"  # which one process keeps busy; many would fill its memory
+    parts = map_jobs(encode_share, jobs, 1 if on_gpu else machine.workers, "features")
     write_features(target, steps, parts)
     return play.read_npy(target)
 
