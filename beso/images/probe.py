@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-PENALTIES: Final = (1e-5, 1e-4, 1e-3, 1e-2)  # times the number of steps; see `fit`
+PENALTIES: Final = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # times the number of steps; see `fit`
 BLOCK: Final = 4096  # steps
 
 
