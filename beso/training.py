@@ -5,16 +5,12 @@ run that is killed continues from it and ends with the same bytes as an undistur
 """
 
 import copy
-import json
 import logging
 import math
 import time
 from pathlib import Path
 
-import safetensors.torch
 import torch
-from safetensors import SafetensorError, safe_open
-from torch import Tensor
 from tqdm import trange
 
 from beso import methods, optimizers
@@ -24,7 +20,7 @@ from beso.data.scaling import Scaling
 from beso.data.spec import PlaySpec
 from beso.data.windows import Windows
 from beso.errors import UserError
-from beso.files import replacing
+from beso.loop_state import LoopState
 from beso.seeding import integer_seed, torch_generator
 from beso.training_config import TrainingJob
 
@@ -64,7 +60,7 @@ def train(
     # Resumable state
     draws = torch_generator(job.root_seed, "training", job.seed, device=device)
     loss_sum = torch.zeros((), device=device)
-    loop = _LoopState(method, averaged, updates, draws, loss_sum)
+    loop = LoopState({"method": method, "averaged": averaged}, updates, draws, loss_sum)
     first_step, curve = loop.load(state_path)
     name = f"{job.method} seed {job.seed}"
     if first_step:
@@ -123,57 +119,3 @@ def train(
 
     weights = {key: value.detach().cpu().contiguous() for key, value in averaged.state_dict().items()}
     return Trained(weights, scaling, curve)
-
-
-class _LoopState:
-    """Saves and restores everything the loop changes, in one safetensors file; numbers go into its header."""
-
-    def __init__(
-        self,
-        method: torch.nn.Module,
-        averaged: torch.nn.Module,
-        updates: list[torch.optim.Optimizer],
-        draws: torch.Generator,
-        loss_sum: Tensor,
-    ) -> None:
-        self.draws = draws
-        names = {id(parameter): name for name, parameter in method.named_parameters()}
-        self.parameters = {  # by name: the parameter, and the state of the optimizer that updates it
-            names[id(parameter)]: (parameter, optimizer.state)
-            for optimizer in updates
-            for group in optimizer.param_groups
-            for parameter in group["params"]
-        }
-        self.tensors = {f"method.{k}": v for k, v in method.state_dict().items()}
-        self.tensors |= {f"averaged.{k}": v for k, v in averaged.state_dict().items()}
-        self.tensors["loss_sum"] = loss_sum
-
-    def save(self, path: Path, step: int, curve: list[dict[str, float]]) -> None:
-        tensors = {key: value.contiguous() for key, value in self.tensors.items()}
-        for name, (parameter, state) in self.parameters.items():
-            for key, value in state[parameter].items():
-                tensors[f"optimizer.{name}.{key}"] = value
-        tensors["draws"] = self.draws.get_state()
-        with replacing(path) as temporary:
-            metadata = {"step": str(step), "curve": json.dumps(curve)}
-            temporary.write_bytes(safetensors.torch.save(tensors, metadata))
-
-    def load(self, path: Path) -> tuple[int, list[dict[str, float]]]:
-        if not path.exists():
-            return 0, []
-        try:
-            opened = safe_open(path, "pt")
-        except SafetensorError:
-            log.warning("%s is damaged; starting again", path)
-            return 0, []
-        with opened as file, torch.no_grad():
-            for key, value in self.tensors.items():
-                value.copy_(file.get_tensor(key))
-            for name, (parameter, state) in self.parameters.items():
-                prefix = f"optimizer.{name}."
-                keys = [key for key in file.keys() if key.startswith(prefix)]  # noqa: SIM118 (not a dictionary)
-                # The fused optimizers keep their step count on the parameter's device too.
-                state[parameter] = {k.removeprefix(prefix): file.get_tensor(k).to(parameter.device) for k in keys}
-            self.draws.set_state(file.get_tensor("draws"))
-            metadata = file.metadata()
-        return int(metadata["step"]), json.loads(metadata["curve"])

@@ -17,6 +17,8 @@ from beso import envs, methods
 from beso.config import build, require, require_positive
 from beso.errors import UserError
 from beso.evaluation_config import EvaluationConfig
+from beso.images.pretraining import Pretraining
+from beso.images.resnet import WIDTHS
 from beso.training_config import TrainingConfig, TrainingJob, ValidationConfig
 
 PATH = Path("params.yaml")
@@ -36,16 +38,100 @@ class Machine:
 
 
 @dataclass(frozen=True)
-class Collect:
-    """Where play data comes from: scripted demonstrations made here, or published files in a local folder."""
+class Camera:
+    """How play is recorded where policies see images.
 
+    Attributes:
+        length: steps of an episode, at most.
+        size: height and width of the frames, pixels.
+    """
+
+    length: int
+    size: int
+
+    def __post_init__(self) -> None:
+        require_positive(self, "length", "size")
+
+
+@dataclass(frozen=True)
+class Collect:
+    """Where play data comes from: scripted demonstrations made here, or published files in a local folder.
+
+    Attributes:
+        to: "play", a play dataset; or "raw", raw play, where policies see images.
+        demonstrations: how many, of `camera.length` steps each where there is a camera.
+        camera: for raw play.
+    """
+
+    to: Literal["play", "raw"]
     source: Literal["scripted", "published"]
     demonstrations: int
     folder: str | None
+    camera: Camera | None = None
 
     def __post_init__(self) -> None:
+        require((self.to == "raw") == (self.camera is not None), f"camera is missing or out of place: to = {self.to}")
         require(self.demonstrations >= 2, f"demonstrations = {self.demonstrations}: must be at least 2")
         require(self.source == "scripted" or bool(self.folder), "folder = null: source published needs a folder")
+
+
+@dataclass(frozen=True)
+class Preprocess:
+    """How raw frames are packed.
+
+    Attributes:
+        size: height and width, pixels.
+        held_out: share of the episodes that the encoder is not trained on; published data with a split keep theirs.
+    """
+
+    size: int
+    held_out: float
+
+    def __post_init__(self) -> None:
+        require_positive(self, "size")
+        require(0 < self.held_out < 1, f"held_out = {self.held_out}: must be between 0 and 1")
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Given weights of an encoder, torchvision's for instance.
+
+    Attributes:
+        path, sha256: a .safetensors or .pth file.
+        mean, std: of red, green and blue in [0, 1], as in its training.
+    """
+
+    path: str
+    sha256: str
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Features:
+    """The encoder.
+
+    Attributes:
+        width: channels of its first stage, see beso.images.resnet.
+        precision: "fp32", or "bf16" for autocast, in training and afterwards.
+        weights: if given, nothing is trained.
+    """
+
+    width: int
+    precision: Literal["fp32", "bf16"]
+    weights: Weights | None
+    pretraining: Pretraining
+
+    def __post_init__(self) -> None:
+        require(self.width in WIDTHS, f"width = {self.width}: must be one of {', '.join(map(str, WIDTHS))}")
+
+
+@dataclass(frozen=True)
+class ImageParams:
+    """What turns the frames of one environment into features."""
+
+    preprocess: Preprocess
+    features: Features
 
 
 @dataclass(frozen=True)
@@ -178,6 +264,7 @@ class Params:
     seed: int
     machine: Machine
     environments: dict[str, EnvironmentParams]
+    images: dict[str, ImageParams]
     cells: dict[str, Cell]
     methods: dict[str, MethodParams]
     studies: dict[str, Study]
@@ -219,6 +306,13 @@ class Params:
         if env not in self.environments:
             raise UserError(f"environment {env!r} is not in {PATH}: {', '.join(self.environments)} are")
         return self.environments[env]
+
+    def image(self, env: str) -> ImageParams:
+        """How one environment's frames become features. Raises UserError if params.yaml does not have it."""
+        self.environment(env)
+        if env not in self.images:
+            raise UserError(f"images.{env} is not in {PATH}: {', '.join(self.images) or 'none'} are")
+        return self.images[env]
 
     def cell(self, env: str, method: str) -> Cell:
         """One cell. Raises UserError if params.yaml does not have it."""
@@ -294,6 +388,19 @@ def parse(values: Any, where: str) -> Params:
         if goals != known[: len(goals)]:
             allowed = " or ".join(str(list(known[:n])) for n in range(1, len(known) + 1))
             raise UserError(f"{where}.environments.{name}.evaluation: goals = {list(goals)}: must be {allowed}")
+        images = envs.sees_images(name)
+        if (environment.collect.to == "raw") != images:
+            allowed = "raw: its policies see images" if images else "play: its policies see states"
+            raise UserError(f"{where}.environments.{name}.collect.to = {environment.collect.to!r}: must be {allowed}")
+        if images and name not in params.images:
+            raise UserError(f"{where}.images.{name} is missing: its policies see images")
+        if images:
+            _sizes(environment.collect, params.images[name], f"{where}.images.{name}")
+    for name in params.images:
+        if name not in params.environments:
+            raise UserError(f"{where}.environments.{name} is missing: images.{name} names it")
+        if not envs.sees_images(name):
+            raise UserError(f"{where}.images.{name}: the policies of this environment see states")
     for key, cell in params.cells.items():
         if cell.env not in params.environments:
             raise UserError(f"{where}.environments.{cell.env} is missing: cells.{key} names it")
@@ -313,6 +420,14 @@ def parse(values: Any, where: str) -> Params:
     for name, study in params.studies.items():
         _study(params, study, f"{where}.studies.{name}")
     return params
+
+
+def _sizes(collect: Collect, images: ImageParams, where: str) -> None:
+    """Frames can be made smaller, not larger."""
+    assert collect.camera is not None
+    size, recorded = images.preprocess.size, collect.camera.size
+    if size > recorded:
+        raise UserError(f"{where}.preprocess.size = {size}: must be at most collect.camera.size, {recorded}")
 
 
 def _method(blocks: dict[str, MethodParams], name: str, of: str, where: str) -> MethodParams:

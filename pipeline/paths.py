@@ -18,6 +18,26 @@ def trials(environment: str) -> Path:
     return Path("data/trials") / environment
 
 
+def raw(environment: str) -> Path:
+    """Raw play of an environment that sees images."""
+    return Path("data/raw") / environment
+
+
+def frames(environment: str) -> Path:
+    """Packed frames of an environment that sees images."""
+    return Path("data/frames") / environment
+
+
+def samples(environment: str) -> Path:
+    """Some of an environment's frames, as one picture."""
+    return Path("results/samples") / f"{environment}.png"
+
+
+def probe(environment: str) -> Path:
+    """What the features of an environment's frames tell of its state."""
+    return Path("results/probe") / f"{environment}.csv"
+
+
 def models(environment: str, method: str) -> Path:
     """Trained models of one cell."""
     return Path("models") / environment / method

@@ -41,6 +41,9 @@ def render(name: str) -> str:
             values = part
         else:
             _join(values, part, str(path))
+    for key, value in values.items():
+        if value is None:  # no room has anything there
+            values[key] = {}
     if name != COMPLETE:
         for path in _files(name):
             _change(values, params.read_yaml(path) or {}, str(path))

@@ -9,6 +9,7 @@
 Episode e is steps [ends[e-1], ends[e]). Row t holds the observation at t and the action taken there.
 """
 
+import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,12 +109,14 @@ def check(dataset: PlayDataset, spec: PlaySpec, where: str) -> None:
         raise UserError(f"{where}: episode_ends does not rise from above 0 to the number of steps, {steps}")
 
 
-def save(dataset: PlayDataset, folder: Path) -> None:
-    """Write a dataset as a folder, atomically."""
+def save(dataset: PlayDataset, folder: Path, beside: Iterable[Path] = ()) -> None:
+    """Write a dataset as a folder, atomically, with copies of some files beside it."""
     with replacing(folder) as temporary:
         temporary.mkdir()
         for name in ARRAYS:
             write_npy(temporary / f"{name}.npy", getattr(dataset, name))
+        for path in beside:
+            shutil.copyfile(path, temporary / path.name)
         counts = {"episodes": len(dataset), "steps": len(dataset.observations)}
         digests = {name: sha256(temporary / f"{name}.npy") for name in ARRAYS}
         write_json(temporary / "meta.json", {**dataset.meta, "counts": counts, "sha256": digests})

@@ -8,6 +8,12 @@
     <name>/evaluation.py                how these episodes are played and scored
     <name>/report.py                    what only the report must know: names, metrics, published statistics
 
+An environment that sees images has, instead of `record` and `published.py`,
+
+    <name>/demonstrations/recording.py  record, join, convert: raw play, with frames (beso.envs.protocol.Recording)
+    <name>/demonstrations/raw.py        load(folder): raw play
+    <name>/probe.py                     TARGETS: what the features should tell (beso.images.probe)
+
 Rooms are imported by name and piece by piece, so that training needs no simulator and a pipeline cell depends on the
 parts of its own room alone.
 """
@@ -23,7 +29,8 @@ from beso.errors import UserError
 
 if TYPE_CHECKING:
     from beso.data.spec import PlaySpec
-    from beso.envs.protocol import Evaluation, Importer, Recorder, Report, TrialMaker
+    from beso.envs.protocol import Evaluation, Importer, Raw, Recorder, Recording, Report, TrialMaker
+    from beso.images.probe import Target
 
 
 def names() -> list[str]:
@@ -60,6 +67,26 @@ def recorder(name: str) -> Recorder:
 def importer(name: str) -> Importer:
     """The function that reads published play data."""
     return _part(name, "demonstrations.published").load
+
+
+def sees_images(name: str) -> bool:
+    """Whether policies of one environment see images, through an encoder: then it has raw play."""
+    return name in names() and (Path(__path__[0]) / name / "demonstrations" / "raw.py").is_file()
+
+
+def recording(name: str) -> Recording:
+    """How raw play of an environment that sees images is made."""
+    return _part(name, "demonstrations.recording")
+
+
+def raw(name: str) -> Raw:
+    """How its raw play is read."""
+    return _part(name, "demonstrations.raw")
+
+
+def probe_targets(name: str) -> tuple[Target, ...]:
+    """What the features of its frames should tell."""
+    return _part(name, "probe").TARGETS
 
 
 def _part(name: str, part: str) -> Any:

@@ -26,6 +26,46 @@ Importer = Callable[[Path], PlayDataset]
 Encoder = Callable[[np.ndarray], np.ndarray]  # raw observations (B, ...) -> what the spec describes, (B, O)
 
 
+class Recording(Protocol):
+    """How raw play comes to be: the module `beso.envs.<name>.demonstrations.recording`."""
+
+    def record(self, seed: int, index: int, length: int, size: int, folder: Path) -> int:
+        """Record episode `index` with frames of `size` pixels into a folder, unless it is there; its steps.
+
+        There are `length` of them, or fewer.
+        """
+
+    def join(self, parts: list[Path], folder: Path, seed: int) -> None:
+        """Write the raw play made of recorded episodes."""
+
+    def convert(self, published: Path, folder: Path, size: int, workers: int) -> None:
+        """Write the raw play of published data."""
+
+
+class RawPlay(Protocol):
+    """Raw play in memory, memory-mapped; its frames lie in `frames.npy` beside the rest.
+
+    `meta` may name "held_out_episodes", where the data come with a split.
+    """
+
+    meta: dict[str, Any]
+    episode_ends: np.ndarray
+
+    def __len__(self) -> int:
+        """Number of episodes."""
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """What is packed with the frames, by the names in beso.images.frames.COLUMNS."""
+
+
+class Raw(Protocol):
+    """How raw play is read: the module `beso.envs.<name>.demonstrations.raw`."""
+
+    def load(self, folder: Path) -> RawPlay:
+        """Read and check raw play."""
+
+
 class TrialRequest(NamedTuple):
     """Which trials are wanted.
 

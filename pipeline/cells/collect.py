@@ -1,17 +1,29 @@
-"""Raw play data of one environment: scripted demonstrations, or published files from a local folder."""
+"""Play data of one environment: scripted demonstrations, or published files from a local folder.
 
+Where policies see states, it becomes a play dataset at once; where they see images, it stays raw play, frames and all,
+for the stages `preprocess` and `features`.
+"""
+
+import dataclasses
 import importlib.metadata
+import math
+import shutil
 from pathlib import Path
 
 from beso import envs
 from beso.data import play
-from pipeline import paths
+from pipeline import paths, scratch
 from pipeline.params import Params
-from pipeline.pool import map_jobs
+from pipeline.pool import available_workers, map_jobs
 
 
 def collect(params: Params, environment: str) -> None:
-    """Make or import one play dataset and write it."""
+    """Make or import the play of one environment and write it."""
+    {"play": collect_play, "raw": collect_raw}[params.environment(environment).collect.to](params, environment)
+
+
+def collect_play(params: Params, environment: str) -> None:
+    """Write a play dataset."""
     settings, spec = params.environment(environment).collect, envs.spec(environment)
     if settings.source == "published":
         dataset = envs.importer(environment)(Path(settings.folder or ""))
@@ -26,3 +38,25 @@ def collect(params: Params, environment: str) -> None:
         dataset = play.assemble(episodes, spec, meta)
     play.save(dataset, paths.play(environment))
     print(f"{len(dataset)} demonstrations, {dataset.lengths.mean():.1f} steps on average")
+
+
+def collect_raw(params: Params, environment: str) -> None:
+    """Write raw play. Recorded episodes wait in the scratch folder until all are there."""
+    settings, room = params.environment(environment).collect, envs.recording(environment)
+    assert settings.camera is not None  # checked with the parameters
+    size, length, target = settings.camera.size, settings.camera.length, paths.raw(environment)
+    if settings.source == "published":
+        workers = params.machine.workers or available_workers()
+        room.convert(Path(settings.folder or ""), target, size, workers)
+        return
+    waiting = scratch.folder("collect", environment, dataclasses.asdict(settings), params.seed)
+    parts: list[Path] = []
+    steps, wanted = 0, settings.demonstrations * length
+    while steps < wanted:  # an episode may end early; then there are more of them
+        new = range(len(parts), len(parts) + math.ceil((wanted - steps) / length))
+        jobs = [(params.seed, i, length, size, waiting / f"episode{i}") for i in new]
+        steps += sum(map_jobs(room.record, jobs, params.machine.workers, f"collect {environment}"))
+        parts += [job[-1] for job in jobs]
+    room.join(parts, target, params.seed)
+    shutil.rmtree(waiting)
+    print(f"{len(parts)} episodes, {steps} steps")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import matplotlib.image
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -77,6 +78,10 @@ def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
         yield from envs.report(name).drawings(values["datasets"][name], values["episodes"][name])
         caption = f"{title}: held-out loss over its first measurement, a line a seed."
         yield Drawing(f"training_{name}", caption, training_curves(params, names, name))
+        if name in params.images:
+            yield Drawing(f"samples_{name}", f"{title}: frames of the play data.", samples(paths.samples(name)))
+            caption = f"{title}: what a linear probe reads off features of held-out frames; black, a constant answer."
+            yield Drawing(f"probe_{name}", caption, probe(pd.read_csv(paths.probe(name))))
     for table in values["studies"]:
         caption = f"{table.title}; bars are 95 % intervals, diamonds the paper's numbers where it has them."
         yield Drawing(f"study_{table.name}", caption, study(table, comparison))
@@ -180,6 +185,45 @@ def scores(params: Params, comparison: pd.DataFrame, names: Names, environment: 
         axis.set_title(metric.label)
     axes[0].set_ylabel(names.environments[environment])
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(bars), frameon=False)
+    return figure
+
+
+def samples(path: Path) -> Figure:
+    """A picture of beso.images.frames.write_samples."""
+    picture = matplotlib.image.imread(path)
+    figure = Figure(figsize=(7, 7 * picture.shape[0] / picture.shape[1]))
+    axis = figure.add_axes((0, 0, 1, 1))
+    axis.imshow(picture)
+    axis.set_axis_off()
+    return figure
+
+
+def probe(table: pd.DataFrame) -> Figure:
+    """What features tell linearly: accuracies, and errors over those of a constant answer, by representation.
+
+    Args:
+        table: of beso.images.probe.probe.
+    """
+    figure = Figure(figsize=(7, 2.7), layout="constrained")
+    parts = [table[table["measure"] == measure] for measure in ("accuracy", "error")]
+    axes = figure.subplots(1, 2, gridspec_kw={"width_ratios": [part["target"].nunique() for part in parts]})
+    names = list(dict.fromkeys(table["representation"]))
+    width = 0.8 / len(names)
+    for axis, part, label in zip(axes, parts, ("accuracy", "error over that of a constant"), strict=True):
+        targets = list(dict.fromkeys(part["target"]))
+        places = np.arange(len(targets))
+        for i, (name, colour) in enumerate(zip(names, METHOD_COLOURS, strict=False)):
+            rows = part[part["representation"] == name].set_index("target").loc[targets]
+            heights = rows["value"] / (1 if label == "accuracy" else rows["constant"])
+            axis.bar(places + (i - (len(names) - 1) / 2) * width, heights, width, label=name, color=colour)
+        axis.set_xticks(places, [target.replace("_", " ") for target in targets], rotation=30, ha="right")
+        axis.set_ylabel(label)
+    constants = parts[0].drop_duplicates("target")["constant"]
+    axes[0].hlines(constants, np.arange(len(constants)) - 0.45, np.arange(len(constants)) + 0.45, color="black")
+    axes[0].set_ylim(0.5, 1)
+    axes[1].axhline(1, color="black")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(names), frameon=False)
     return figure
 
 

@@ -1,10 +1,12 @@
 import copy
 import dataclasses
 import math
+from pathlib import Path
 
 import pytest
 from ruamel.yaml import YAML
 
+from beso import envs
 from beso.errors import UserError
 from pipeline import params, profile
 
@@ -62,6 +64,28 @@ SAMPLE = ("methods", "c_beso", "sample", "block_push")
 OPTIMIZATION = ("methods", "gcbc", "train", "block_push", "optimization")
 
 
+CAMERA = {"length": 100, "size": 64}
+RAW = {"to": "raw", "source": "scripted", "demonstrations": 2, "folder": None, "camera": CAMERA}
+IMAGES = {
+    "preprocess": {"size": 64, "held_out": 0.1},
+    "features": {
+        "width": 32,
+        "precision": "bf16",
+        "weights": None,
+        "pretraining": {
+            "steps": 10,
+            "batch_size": 4,
+            "learning_rate": 1.0e-3,
+            "weight_decay": 0.01,
+            "inverse_dynamics": 1.0,
+            "reconstruction": 1.0,
+            "horizon": 16,
+            "shift": 2,
+        },
+    },
+}
+
+
 def cell(env, method, of=None):
     return {"env": env, "method": method, "of": of or method}
 
@@ -90,6 +114,11 @@ def cell(env, method, of=None):
         (("studies", "samplers_block_push", "method"), "gcbd", r"block_push-gcbd of c_beso is not"),
         ((*BLOCK_PUSH, "training", "goal_horizon"), 0, r"goal_horizon = 0: must be at least 1"),
         ((*BLOCK_PUSH, "collect", "source"), "published", r"folder = null: source published needs a folder"),
+        ((*BLOCK_PUSH, "collect", "to"), "raw", r"collect: camera is missing or out of place: to = raw"),
+        ((*BLOCK_PUSH, "collect", "camera"), CAMERA, r"collect: camera is missing or out of place: to = play"),
+        ((*BLOCK_PUSH, "collect"), RAW, r"block_push\.collect\.to = 'raw': must be play: its policies see states"),
+        (("images", "block_push"), IMAGES, r"images\.block_push: the policies of this environment see states"),
+        (("images", "moon"), IMAGES, r"environments\.moon is missing: images\.moon names it"),
         (("colour",), "red", r"colour = 'red': unknown key"),
         (("profile",), "../x", r"profile = '\.\./x': must be made of"),
         ((*BLOCK_PUSH, "evaluation", "goals"), ["held_out"], r"goals = \['held_out'\]: must be \['training'\] or"),
@@ -117,6 +146,47 @@ def test_a_mistake_is_one_line_with_key_value_and_what_is_allowed(values, path, 
     with pytest.raises(UserError, match=message) as error:
         params.parse(values, "params.yaml")
     assert "\n" not in str(error.value)
+
+
+@pytest.fixture
+def room(values):
+    """An environment that sees images: the first that there is, with the parameters of block push."""
+    name = next(path.parts[-3] for path in Path(envs.__path__[0]).glob("*/demonstrations/raw.py"))
+    values["environments"][name] = {**copy.deepcopy(values["environments"]["block_push"]), "collect": RAW}
+    values["images"][name] = IMAGES
+    return name
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("preprocess", "size"), 65, r"preprocess\.size = 65: must be at most collect\.camera\.size, 64"),
+        (("preprocess", "held_out"), 1.0, r"preprocess: held_out = 1\.0: must be between 0 and 1"),
+        (("features", "width"), 24, r"features: width = 24: must be one of 64, 32, 16, 8"),
+        (("features", "weights"), {"path": "x"}, r"features\.weights\.sha256 is missing"),
+        (("features", "pretraining", "horizon"), 0, r"pretraining: horizon = 0: must be at least 1"),
+        (("features",), None, r"features = None: expected a mapping"),
+        ((), None, r"images\.\w+ = None: expected a mapping"),
+    ],
+)
+def test_mistakes_about_images(values, room, monkeypatch, path, value, message):
+    monkeypatch.setattr(envs, "names", lambda: ["block_push", room])
+    spec = envs.spec
+    monkeypatch.setattr(envs, "spec", lambda name: spec("block_push"))
+    assert params.parse(values, "params.yaml").image(room).preprocess.size == 64
+    inner = values["images"] = copy.deepcopy(values["images"])
+    *parents, last = (room, *path)
+    for key in parents:
+        inner = inner[key]
+    inner[last] = value
+    with pytest.raises(UserError, match=message):
+        params.parse(values, "params.yaml")
+    del values["images"][room]
+    with pytest.raises(UserError, match=rf"images\.{room} is missing: its policies see images"):
+        params.parse(values, "params.yaml")
+    values["environments"][room]["collect"] = values["environments"]["block_push"]["collect"]
+    with pytest.raises(UserError, match=r"collect\.to = 'play': must be raw: its policies see images"):
+        params.parse(values, "params.yaml")
 
 
 def test_every_key_is_needed(values):

@@ -5,7 +5,6 @@ import pytest
 import safetensors.torch
 import torch
 
-from beso.envs.calvin import encoder as calvin_encoder
 from beso.errors import UserError
 from beso.images import encoder
 from beso.images.resnet import ResNet18
@@ -35,7 +34,7 @@ def test_is_the_network_on_standardised_frames(folder, frames):
     pictures = (frames / 255 - np.array([0.4, 0.5, 0.6])) / np.array([0.2, 0.3, 0.25])
     with torch.no_grad():
         expected = network(torch.tensor(pictures, dtype=torch.float32).permute(0, 3, 1, 2))
-    features = calvin_encoder.load(folder, CPU)(frames)
+    features = encoder.load(folder, CPU)(frames)
     assert features.dtype == np.float32
     assert np.allclose(features, expected.numpy(), rtol=1e-4, atol=1e-5)
 

@@ -20,6 +20,7 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
+from tqdm import tqdm
 
 from beso.data.play import read_npy, write_npy
 from beso.envs.calvin.demonstrations.raw import BATCH, RawPlay, writing
@@ -109,7 +110,9 @@ def read_frame(path: Path, size: int | None) -> dict[str, np.ndarray]:
     return {"frames": frame, **found}
 
 
-def convert(source: Path, target: Path, size: int | None, workers: int, meta: Mapping[str, Any]) -> None:
+def convert(
+    source: Path, target: Path, size: int | None, workers: int, meta: Mapping[str, Any], *further: Path
+) -> None:
     """Bring a data set in CALVIN's layout into the form of `raw`, episode by episode.
 
     Its tasks are unknown, so the column `tasks` stays zero, and each episode is one segment; meta.json says so.
@@ -120,14 +123,17 @@ def convert(source: Path, target: Path, size: int | None, workers: int, meta: Ma
         size: height and width of the frames written, pixels; None keeps those of the files.
         workers: how many files are read at a time.
         meta: entries for meta.json.
+        further: folders whose episodes come after those of `source`.
 
     Raises:
         UserError: see `layout` and `read_frame`; frames of unequal sizes.
     """
-    found = layout(source)
-    with writing(target, {"labelled": False, **meta}) as writer, ThreadPoolExecutor(workers) as pool:
+    layouts = [layout(folder) for folder in (source, *further)]
+    frames = sum(last - first + 1 for found in layouts for first, last in found.episodes)
+    progress = tqdm(total=frames, desc="convert", unit="frame", disable=None)
+    with writing(target, {"labelled": False, **meta}) as writer, ThreadPoolExecutor(workers) as pool, progress:
         shape = None
-        for first, last in found.episodes:
+        for found, (first, last) in [(part, bounds) for part in layouts for bounds in part.episodes]:
             for start in range(first, last + 1, BATCH):
                 paths = [found.path(number) for number in range(start, min(start + BATCH, last + 1))]
                 rows = list(pool.map(partial(read_frame, size=size), paths))
@@ -140,6 +146,7 @@ def convert(source: Path, target: Path, size: int | None, workers: int, meta: Ma
                 columns = {key: np.stack([row[key] for row in rows]) for key in ("frames", *STATE_SIZES)}
                 columns["tasks"] = np.zeros((len(rows), len(tasks.NAMES)))
                 writer.append({**columns, "segment_starts": segment_starts})
+                progress.update(len(rows))
             writer.end_episode()
 
 

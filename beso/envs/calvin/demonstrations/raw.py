@@ -14,22 +14,26 @@ What the columns mean is told at `scripted.Step`. Arrays are memory-mapped when 
 that neither the writer nor the reader holds more than a few hundred frames.
 """
 
+from __future__ import annotations
+
 import importlib.metadata
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import numpy as np
 
 from beso.data.play import read_npy, write_npy
-from beso.envs.calvin.demonstrations.scripted import Step
 from beso.envs.calvin.simulator import tasks
 from beso.envs.calvin.simulator.observations import ACTION_SIZE, ROBOT_SIZE, SCENE_SIZE
 from beso.errors import UserError
 from beso.files import read_json, replacing, sha256, write_json
+
+if TYPE_CHECKING:
+    from beso.envs.calvin.demonstrations.scripted import Step
 
 COLUMNS: Final[Mapping[str, tuple[tuple[int, ...], str]]] = {  # shape of a row, dtype; that of a frame is free
     "frames": ((), "uint8"),
@@ -61,6 +65,12 @@ class RawPlay:
     def __len__(self) -> int:
         """Number of episodes."""
         return len(self.episode_ends)
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """What is packed with the frames (beso.images.frames): states are robot_obs, then scene_obs."""
+        states = np.concatenate([self.robot_obs, self.scene_obs], axis=1)
+        return {"actions": self.rel_actions, "tasks": self.tasks, "states": states}
 
     def episodes(self) -> Iterator[slice]:
         """The rows of each episode."""

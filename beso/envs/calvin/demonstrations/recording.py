@@ -1,0 +1,33 @@
+"""How raw play comes to be: recorded here, episode by episode, or brought over from CALVIN's published data."""
+
+from pathlib import Path
+
+from beso.envs.calvin.demonstrations import official, raw, scripted
+
+TRAINING, VALIDATION = "training", "validation"  # folders of the published data
+
+
+def record(seed: int, index: int, length: int, size: int, folder: Path) -> int:
+    """Record episode `index` into a folder of its own, unless it is there already; its number of steps."""
+    if not folder.is_dir():
+        raw.write([scripted.record(seed, index, length, size)], folder, {})
+    return int(raw.load(folder, verify=False).episode_ends[-1])
+
+
+def join(parts: list[Path], folder: Path, seed: int) -> None:
+    """Write the raw play made of recorded episodes."""
+    raw.join(parts, folder, {"source": "scripted", "seed": seed, "labelled": True})
+
+
+def convert(published: Path, folder: Path, size: int, workers: int) -> None:
+    """Write the raw play of a published data set: the folder that holds `training` and, usually, `validation`.
+
+    The episodes of `validation` come last and are held out; meta.json says which those are.
+    """
+    splits = [published / TRAINING]
+    if (published / VALIDATION).is_dir():
+        splits.append(published / VALIDATION)
+    counts = [len(official.layout(split).episodes) for split in splits]
+    held_out = list(range(counts[0], sum(counts)))
+    meta = {"source": "published CALVIN", "held_out_episodes": held_out}
+    official.convert(splits[0], folder, size, workers, meta, *splits[1:])

@@ -1,0 +1,237 @@
+"""From raw play to play data of features: the stages collect, preprocess and features where policies see images."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from beso import envs
+from beso.data import play
+from beso.envs.calvin.demonstrations import official, raw, recording
+from beso.errors import UserError
+from beso.files import sha256
+from beso.images import encoder, frames
+from beso.images.pretraining import Pretraining
+from beso.images.resnet import ResNet18
+from pipeline import params as parameters
+from pipeline import paths, profile
+from pipeline.cells.collect import collect
+from pipeline.cells.features import make_features
+from pipeline.cells.preprocess import preprocess
+from pipeline.report import figures
+
+PRETRAINING = Pretraining(
+    steps=4,
+    batch_size=4,
+    learning_rate=1e-3,
+    weight_decay=0.01,
+    inverse_dynamics=1.0,
+    reconstruction=1.0,
+    horizon=4,
+    shift=1,
+)
+IMAGES = parameters.ImageParams(
+    parameters.Preprocess(size=32, held_out=0.25), parameters.Features(8, "fp32", None, PRETRAINING)
+)
+COLLECT = parameters.Collect("raw", "scripted", 4, None, parameters.Camera(length=12, size=40))
+CHANGES = {"collect": COLLECT, "images": IMAGES, "workers": 1}
+
+
+@pytest.fixture(scope="module")
+def smoke():
+    return profile.load("smoke")
+
+
+@pytest.fixture
+def make(smoke, tmp_path, monkeypatch):
+    """Parameters with some values changed, in an empty folder as working directory."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(envs, "names", lambda: ["block_push", "calvin"])
+
+    def params(**changes):
+        values = {**CHANGES, **changes}
+        environment = dataclasses.replace(smoke.environments["block_push"], collect=values["collect"])
+        machine = dataclasses.replace(smoke.machine, workers=values["workers"], device="cpu")
+        return dataclasses.replace(
+            smoke, machine=machine, environments={"calvin": environment}, images={"calvin": values["images"]}
+        )
+
+    return params
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Raw play of four short episodes, recorded once."""
+    folder = tmp_path_factory.mktemp("recorded")
+    parts = [folder / str(i) for i in range(4)]
+    for i, part in enumerate(parts):
+        recording.record(0, i, 12, 40, part)
+    recording.join(parts, folder / "raw", 0)
+    return folder / "raw"
+
+
+def give_raw(recorded):
+    paths.raw("calvin").parent.mkdir(parents=True)
+    paths.raw("calvin").symlink_to(recorded)
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_raw_play_is_the_same_for_any_number_of_workers(make, recorded, workers):
+    collect(make(workers=workers), "calvin")
+    assert contents(paths.raw("calvin")) == contents(recorded)
+    assert raw.load(paths.raw("calvin")).meta["seed"] == 0
+
+
+def test_more_episodes_are_recorded_where_some_end_early(make, monkeypatch):
+    asked, record = [], recording.record
+
+    def short(seed, index, length, size, folder):
+        asked.append(index)
+        return record(seed, index, 7 if index == 1 else length, size, folder)
+
+    monkeypatch.setattr(recording, "record", short)
+    collect(make(), "calvin")
+    assert asked == [0, 1, 2, 3, 4]
+    assert raw.load(paths.raw("calvin")).episode_ends.tolist() == [12, 19, 31, 43, 55]
+
+
+def test_an_interrupted_recording_keeps_its_whole_episodes(make, recorded, monkeypatch):
+    record, played = recording.scripted.record, []
+
+    def interrupted(seed, index, length, size):
+        played.append(index)
+        if played == [0, 1, 2]:
+            raise KeyboardInterrupt
+        return record(seed, index, length, size)
+
+    monkeypatch.setattr(recording.scripted, "record", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        collect(make(), "calvin")
+    collect(make(), "calvin")
+    assert played == [0, 1, 2, 2, 3]
+    assert contents(paths.raw("calvin")) == contents(recorded)
+    assert list(paths.SCRATCH.iterdir()) == []
+
+
+def test_published_data_keep_their_split(make, recorded, tmp_path):
+    for name in ("training", "validation"):
+        official.export(raw.load(recorded), tmp_path / "published" / name)
+    published = dataclasses.replace(COLLECT, source="published", folder=str(tmp_path / "published"))
+    collect(make(collect=published), "calvin")
+    preprocess(make(), "calvin")
+    packed = frames.load(paths.frames("calvin"))
+    assert packed.meta["held_out_episodes"] == [4, 5, 6, 7]
+    assert np.array_equal(packed.frames.read(np.arange(48)), packed.frames.read(np.arange(48, 96)))
+    with pytest.raises(UserError, match=r"nowhere/training/ep_start_end_ids.npy is missing"):
+        collect(make(collect=dataclasses.replace(published, folder="nowhere")), "calvin")
+
+
+def run(params):
+    preprocess(params, "calvin")
+    make_features(params, "calvin")
+
+
+def test_features_are_what_the_encoder_beside_them_makes_of_the_frames(make, recorded, capsys):
+    give_raw(recorded)
+    run(make())
+    folder = paths.play("calvin")
+    packed, source = frames.load(paths.frames("calvin")), raw.load(recorded)
+    features = play.read_npy(folder / "observations.npy")
+    assert features.shape == (48, 512)
+    assert features.dtype == np.float32
+    encode = encoder.load(folder, torch.device("cpu"))
+    assert np.array_equal(encode(packed.frames.read(np.arange(48))), features)
+    assert np.array_equal(play.read_npy(folder / "actions.npy"), source.rel_actions)
+    assert np.array_equal(play.read_npy(folder / "tasks.npy"), source.tasks)
+    assert np.array_equal(play.read_npy(folder / "episode_ends.npy"), source.episode_ends)
+    meta = json.loads((folder / "meta.json").read_text())
+    assert meta["source"] == "scripted"
+    assert meta["sha256"]["observations"] == sha256(folder / "observations.npy")
+    assert len(packed.meta["held_out_episodes"]) == 1
+    assert list(paths.SCRATCH.iterdir()) == []
+
+
+def test_the_same_bytes_with_other_workers_and_after_a_kill(make, recorded, monkeypatch):
+    give_raw(recorded)
+    monkeypatch.setattr("pipeline.cells.features.SHARE", 10)
+    run(make())
+    first, table = contents(paths.play("calvin")), paths.probe("calvin").read_bytes()
+    make_features(make(workers=2), "calvin")
+    assert contents(paths.play("calvin")) == first
+    assert paths.probe("calvin").read_bytes() == table
+
+    def killed(*arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.cells.features.encode_all", killed)
+        with pytest.raises(KeyboardInterrupt):
+            make_features(make(), "calvin")
+        assert contents(paths.play("calvin")) == first  # as it was
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.cells.features.pretrain", killed)  # the encoder is there already
+        make_features(make(), "calvin")
+    assert contents(paths.play("calvin")) == first
+
+
+def test_the_probe_compares_with_random_weights_and_the_state_itself(make, recorded):
+    give_raw(recorded)
+    run(make())
+    table = pd.read_csv(paths.probe("calvin"))
+    assert set(table["representation"]) == {"features", "random encoder", "state"}
+    assert set(table["target"]) >= {"drawer", "slider", "led", "lightbulb", "block_red", "hand"}
+    rows = table.set_index(["target", "representation"])
+    assert rows.loc[("hand", "state"), "value"] < 0.5 * rows.loc[("hand", "state"), "constant"]
+    assert len(figures.samples(paths.samples("calvin")).axes[0].images) == 1
+    drawn = figures.probe(table)
+    assert [axis.get_ylabel() for axis in drawn.axes] == ["accuracy", "error over that of a constant"]
+    assert [len(axis.patches) for axis in drawn.axes] == [4 * 3, 5 * 3]  # targets, representations
+    heights = [bar.get_height() for bar in drawn.axes[0].patches[:4]]  # of the features
+    accuracies = table[(table["representation"] == "features") & (table["measure"] == "accuracy")]
+    np.testing.assert_array_equal(heights, accuracies["value"])  # NaN where nothing could be measured
+
+
+def given(tmp_path, **changes):
+    torch.save(ResNet18(8, torch.Generator().manual_seed(5)).state_dict(), tmp_path / "weights.pth")
+    values = {
+        "path": "weights.pth",
+        "sha256": sha256(tmp_path / "weights.pth"),
+        "mean": (0.485, 0.456, 0.406),
+        "std": (0.229, 0.224, 0.225),
+    }
+    weights = parameters.Weights(**{**values, **changes})
+    return dataclasses.replace(IMAGES, features=dataclasses.replace(IMAGES.features, weights=weights))
+
+
+def test_given_weights_are_used_as_they_are(make, recorded, tmp_path):
+    give_raw(recorded)
+    run(make(images=given(tmp_path)))
+    made = encoder.load(paths.play("calvin"), torch.device("cpu"))
+    expected = ResNet18(8, torch.Generator().manual_seed(5)).state_dict()
+    assert all(torch.equal(value, expected[name]) for name, value in made.network.state_dict().items())
+    assert made.encoding.mean == (0.485, 0.456, 0.406)
+
+
+def test_mistakes_are_one_line_and_leave_nothing(make, recorded, tmp_path):
+    with pytest.raises(UserError, match="data/raw/calvin is not raw CALVIN play"):
+        preprocess(make(), "calvin")
+    with pytest.raises(UserError, match="data/frames/calvin holds no packed frames"):
+        make_features(make(), "calvin")
+    give_raw(recorded)
+    large = dataclasses.replace(IMAGES, preprocess=parameters.Preprocess(41, 0.25))
+    with pytest.raises(UserError, match="frames of 40 x 40 pixels cannot be packed as 41 x 41"):
+        preprocess(make(images=large), "calvin")
+    assert not paths.frames("calvin").exists()
+    preprocess(make(), "calvin")
+    with pytest.raises(UserError, match=r"weights.pth has SHA-256 \w+, but features.weights says 00"):
+        make_features(make(images=given(tmp_path, sha256="00")), "calvin")
+    with pytest.raises(UserError, match=r"images.block_push is not in params.yaml|environment 'block_push'"):
+        preprocess(make(), "block_push")
+    assert not paths.play("calvin").exists()
