@@ -29,7 +29,8 @@ def plan(targets: list[str]) -> tuple[dict[str, set[str]], set[str]]:
 
     Returns:
         In topological order: each with those among them that it waits for. And those that run alone: they measure time
-        (`meta: {alone: true}` in dvc.yaml), or most of the others follow them and beside them is too little to do.
+        (`meta: {alone: true}` in dvc.yaml), or so many of the others follow them that beside them is too little to do:
+        more than a quarter, for there may be as many environments.
 
     Raises:
         UserError: no such stage, or DVC cannot read its files.
@@ -47,7 +48,7 @@ def plan(targets: list[str]) -> tuple[dict[str, set[str]], set[str]]:
         if before or stage.addressing in stale:
             waits_for[stage.addressing] = before
     alone = {stage.addressing for stage in stages if (stage.meta or {}).get("alone")}
-    alone |= {name for name in waits_for if 2 * len(_followers(name, waits_for)) > len(waits_for)}
+    alone |= {name for name in waits_for if 4 * len(_followers(name, waits_for)) > len(waits_for)}
     return waits_for, alone
 
 

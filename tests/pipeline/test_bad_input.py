@@ -95,10 +95,17 @@ def test_damaged_checkpoint(workspace):
     assert "seed1.safetensors is missing or damaged" in stage(workspace, "evaluate", "block_push", "gcbc")
 
 
-def test_published_folder_that_is_not_there(workspace):
-    workspace.set("environments.block_push.collect.source", "published")
-    workspace.set("environments.block_push.collect.folder", "nowhere")
-    assert "nowhere/multimodal_push_observations.npy is missing" in stage(workspace, "collect", "block_push")
+@pytest.mark.parametrize(
+    ("env", "message"),
+    [
+        ("block_push", "nowhere/multimodal_push_observations.npy is missing"),
+        ("kitchen", "nowhere/observations_seq.npy is missing"),
+    ],
+)
+def test_published_folder_that_is_not_there(workspace, env, message):
+    workspace.set(f"environments.{env}.collect.source", "published")
+    workspace.set(f"environments.{env}.collect.folder", "nowhere")
+    assert message in stage(workspace, "collect", env)
 
 
 def test_missing_results(workspace):

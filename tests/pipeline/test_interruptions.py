@@ -9,7 +9,6 @@ import time
 
 import pytest
 
-STEPS = "methods.c_beso.train.block_push.optimization.steps"
 TRAIN = (sys.executable, "-m", "stages.train", "block_push", "c_beso")
 
 
@@ -28,22 +27,25 @@ def wait_for_state(workspace, since=0.0, timeout=60):
 def slow(workspace):
     """One seed, enough steps to be caught in the middle, state saved after every step."""
     workspace.set("environments.block_push.seeds", [1])
-    workspace.set(STEPS, 400)
+    workspace.set("methods.c_beso.train.block_push.optimization.steps", 400)
+    workspace.set("methods.c_bet.train.kitchen.optimization.steps", 400)
     workspace.set("machine.save_seconds", 0)
     return workspace
 
 
-def test_killed_five_times_and_resumed_gives_the_undisturbed_checkpoint(slow, tmp_path):
+@pytest.mark.parametrize(("env", "method"), [("block_push", "c_beso"), ("kitchen", "c_bet")])
+def test_killed_five_times_and_resumed_gives_the_undisturbed_checkpoint(slow, tmp_path, env, method):
+    train = (*TRAIN[:-2], env, method)
     undisturbed = slow.copy(tmp_path / "undisturbed")
-    undisturbed.run(*TRAIN)
+    undisturbed.run(*train)
     rng, last = random.Random(0), 0.0
     for _ in range(5):
-        process = slow.start(*TRAIN)
+        process = slow.start(*train)
         last = wait_for_state(slow, last)
         time.sleep(rng.uniform(0, 0.4))
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
-    output = slow.run(*TRAIN).stdout
+    output = slow.run(*train).stdout
     assert "continuing at step" in output
     assert slow.files("models", "curves") == undisturbed.files("models", "curves")
     assert not list(slow.folder.glob(".scratch/*"))
