@@ -122,7 +122,7 @@ def test_wrong_number_of_arguments(finished, arguments):
 
 
 def test_unknown_names(workspace):
-    unknown = "environment 'moon' is not in params.yaml: block_push, kitchen are"
+    unknown = "environment 'moon' is not in params.yaml: block_push, calvin, kitchen are"
     for name in ("train", "evaluate", "film"):
         assert unknown in stage(workspace, name, "moon", "gcbc")
         assert "params.yaml has no cell block_push-sac: block_push-gcbc" in stage(workspace, name, "block_push", "sac")
