@@ -24,13 +24,13 @@ LOGS = paths.SCRATCH / "logs"
 LAST_LINES = 12  # of the output of a stage that failed
 
 
-def plan(targets: list[str]) -> tuple[dict[str, set[str]], set[str]]:
+def plan(targets: list[str]) -> tuple[dict[str, set[str]], set[str], set[str]]:
     """Addresses of the stages of `dvc repro TARGETS` that are out of date or follow such a one.
 
     Returns:
-        In topological order: each with those among them that it waits for. And those that run alone: they measure time
-        (`meta: {alone: true}` in dvc.yaml), or so many of the others follow them that beside them is too little to do:
-        more than a quarter, for there may be as many environments.
+        In topological order: each with those among them that it waits for. Those that run first, alone: so many of the
+        others follow them (more than a quarter, for there may be as many environments) that beside them is too little
+        to do. And those that run last, alone: they measure time (`meta: {alone: true}` in dvc.yaml).
 
     Raises:
         UserError: no such stage, or DVC cannot read its files.
@@ -47,9 +47,9 @@ def plan(targets: list[str]) -> tuple[dict[str, set[str]], set[str]]:
         before = {upstream.addressing for upstream in graph.successors(stage)} & waits_for.keys()
         if before or stage.addressing in stale:
             waits_for[stage.addressing] = before
-    alone = {stage.addressing for stage in stages if (stage.meta or {}).get("alone")}
-    alone |= {name for name in waits_for if 4 * len(_followers(name, waits_for)) > len(waits_for)}
-    return waits_for, alone
+    last = {stage.addressing for stage in stages if (stage.meta or {}).get("alone")}
+    first = {name for name in waits_for if 4 * len(_followers(name, waits_for)) > len(waits_for)} - last
+    return waits_for, first, last
 
 
 def _followers(name: str, waits_for: dict[str, set[str]]) -> set[str]:
@@ -122,11 +122,13 @@ class Progress:
             self.show("", end="")
 
 
-def execute(waits_for: dict[str, set[str]], alone: set[str], jobs: int, cores: int) -> tuple[list[str], list[str]]:
+def execute(
+    waits_for: dict[str, set[str]], first: set[str], last: set[str], jobs: int, cores: int
+) -> tuple[list[str], list[str]]:
     """Run stages, up to `jobs` at once.
 
     Args:
-        waits_for, alone: see `plan`.
+        waits_for, first, last: see `plan`.
         cores: shared among the stages that run at one time.
 
     Returns:
@@ -146,9 +148,11 @@ def execute(waits_for: dict[str, set[str]], alone: set[str], jobs: int, cores: i
                     failed.append(child.name)
                     progress.show(child.failure())
             can_run = [name for name, before in waiting.items() if before <= done]
-            ready = [name for name in can_run if name not in alone][: jobs - len(running)]
-            if any(child.name in alone for child in running):
+            ready = [name for name in can_run if name not in last][: jobs - len(running)]
+            if any(child.name in first | last for child in running):
                 ready = []
+            elif bottlenecks := [name for name in can_run if name in first]:
+                ready = [] if running else bottlenecks[:1]
             elif not running and not ready:
                 ready = can_run[:1]
             workers = max(1, cores // max(1, len(running) + len(ready)))
@@ -175,7 +179,7 @@ def main(*arguments: str) -> None:
     options = parser.parse_args(arguments)
     if options.jobs < 1:
         parser.error("argument -j/--jobs: must be at least 1")
-    todo, alone = plan(options.stages)
+    todo, first, last = plan(options.stages)
     if not todo:
         print("everything is up to date")
         return
@@ -184,7 +188,7 @@ def main(*arguments: str) -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):  # in their own process groups the stages would go on
         if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores the second
             signal.signal(number, signal.default_int_handler)
-    failed, skipped = execute(todo, alone, options.jobs, available_workers())
+    failed, skipped = execute(todo, first, last, options.jobs, available_workers())
     if failed:
         raise UserError(f"failed: {', '.join(failed)}" + (f"; not run: {', '.join(skipped)}" if skipped else ""))
     if stale := plan(options.stages)[0]:

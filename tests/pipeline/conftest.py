@@ -124,10 +124,10 @@ class Workspace:
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory):
-    """The smoke profile after one `dvc repro`. Tests that change something take a copy."""
+    """The smoke profile after one run. Tests that change something take a copy."""
     workspace = Workspace.fresh(tmp_path_factory.mktemp("finished"))
     workspace.set("machine.workers", 2)
-    workspace.dvc("repro")
+    workspace.python("-m", "pipeline.run", "-j", "2")
     workspace.commit()
     return workspace
 

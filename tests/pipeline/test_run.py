@@ -131,7 +131,8 @@ def test_order_overlap_shares_lock_and_what_reruns(repository, tmp_path):
     assert max(at_once) == 2, "side by side, but never more than asked for"
     shares = {name: int(values[1]) for name, what, *values in repository.events() if what == "start"}
     cores = len(os.sched_getaffinity(0))
-    assert shares["a"] == cores, "most of the others wait for it: it runs alone"
+    assert shares["a"] == cores, "most of the others wait for it: it runs first, alone"
+    assert repository.started()[0] == "a"
     assert shares["left"] == max(1, cores // 2)
     assert output.count(" started\n") == output.count(" done in 0:0") == 5
     assert "5 stages brought up to date" in output
