@@ -76,6 +76,8 @@ class Child:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # so that Ctrl-C comes once, from `interrupt`
+                # A shell without job control lets what runs in its background ignore it, and so what that starts.
+                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
             )
 
     def interrupt(self) -> None:

@@ -87,13 +87,13 @@ class Repository:
         (self.folder / "events").unlink(missing_ok=True)
         return self.call(*self.command(*arguments), code=code)
 
-    def start(self, *arguments, **streams):
+    def start(self, *arguments, interrupts=signal.SIG_DFL, **streams):
         return subprocess.Popen(
             self.command(*arguments),
             cwd=self.folder,
             env=self.environment,
             **streams,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # where the tests run in the background
+            preexec_fn=lambda: signal.signal(signal.SIGINT, interrupts),
         )
 
     def events(self):
@@ -209,13 +209,18 @@ def test_an_input_that_changes_during_the_run_is_told(repository):
     assert "error: still out of date: a, side@left; something changed meanwhile" in output
 
 
-def test_ctrl_c_ends_the_stages_and_the_next_run_continues(repository):
+@pytest.mark.parametrize("in_background", [False, True])
+def test_ctrl_c_ends_the_stages_and_the_next_run_continues(repository, in_background):
+    """In the background of a script, where Ctrl-C is ignored, it is SIGTERM that ends them."""
     repository.write("nap_left", "60")
     repository.write("nap_right", "60")
-    process = repository.start("side", stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    interrupts = signal.SIG_IGN if in_background else signal.SIG_DFL
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = repository.start("side", interrupts=interrupts, **streams)
     wait_for(repository, 3)
     start = time.monotonic()
-    process.send_signal(signal.SIGINT)  # to the runner alone: the stages are in groups of their own
+    # To the runner alone: the stages are in groups of their own.
+    process.send_signal(signal.SIGTERM if in_background else signal.SIGINT)
     _, errors = process.communicate()
     assert time.monotonic() - start < 20
     assert process.returncode == 130
