@@ -58,7 +58,8 @@ def read_rows(path: Path, stage: str) -> pd.DataFrame:
     """
     if not path.is_file():
         raise UserError(f"{path} is missing: run `dvc repro {stage}`")
-    return pd.read_csv(path)
+    # Lists of tasks: a column of single tasks and gaps would be read as decimal numbers.
+    return pd.read_csv(path, dtype={"tasks": str, "goal_tasks": str})
 
 
 def read_episodes(environment: str, method: str) -> pd.DataFrame:
