@@ -126,7 +126,6 @@ class Workspace:
 def finished(tmp_path_factory):
     """The smoke profile after one run. Tests that change something take a copy."""
     workspace = Workspace.fresh(tmp_path_factory.mktemp("finished"))
-    workspace.set("machine.workers", 2)
     workspace.python("-m", "pipeline.run", "-j", "2")
     workspace.commit()
     return workspace
