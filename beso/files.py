@@ -73,3 +73,9 @@ def sha256(path: Path) -> str:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
+
+
+def check_sha256(path: Path, digest: Any, description: str) -> None:
+    """Check that a file is the one that `description`, a file beside it, means. Raises UserError if it is not."""
+    if sha256(path) != digest:
+        raise UserError(f"{path} is not the file that {description} describes: its SHA-256 differs")

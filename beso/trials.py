@@ -16,7 +16,7 @@ import numpy as np
 from beso.data.play import read_npy, write_npy
 from beso.envs.protocol import Trial
 from beso.errors import UserError
-from beso.files import read_json, replacing, sha256, write_text
+from beso.files import check_sha256, read_json, replacing, sha256, write_text
 
 Trials = Mapping[tuple[str, int], Sequence[Trial]]  # by goal set and model seed, in the order of their numbers
 FIELDS = {"goals": str, "model_seed": int, "number": int, "seed": int, "tasks": list, "limit": int, "labels": dict}
@@ -76,8 +76,7 @@ def _is_entry(entry: Any) -> bool:
 
 def _read_option(path: Path, digest: str, count: int) -> np.ndarray:
     array = read_npy(path)
-    if sha256(path) != digest:
-        raise UserError(f"{path} is not the file that trials.json describes: its SHA-256 differs")
+    check_sha256(path, digest, "trials.json")
     if array.shape[:1] != (count,):
         raise UserError(f"{path} has shape {array.shape}, expected a row for each of {count} trials")
     return array

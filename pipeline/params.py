@@ -18,7 +18,7 @@ from beso.config import build, require, require_positive
 from beso.errors import UserError
 from beso.evaluation_config import EvaluationConfig
 from beso.images.pretraining import Pretraining
-from beso.images.resnet import WIDTHS
+from beso.images.resnet import check_width
 from beso.training_config import TrainingConfig, TrainingJob, ValidationConfig
 
 PATH = Path("params.yaml")
@@ -123,7 +123,7 @@ class Features:
     pretraining: Pretraining
 
     def __post_init__(self) -> None:
-        require(self.width in WIDTHS, f"width = {self.width}: must be one of {', '.join(map(str, WIDTHS))}")
+        check_width(self.width)
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from beso.data.spec import PlaySpec
 from beso.errors import UserError
-from beso.files import read_json, replacing, sha256, write_json
+from beso.files import check_sha256, read_json, replacing, sha256, write_json
 
 ARRAYS = ("observations", "actions", "tasks", "episode_ends")
 
@@ -135,8 +136,7 @@ def load(folder: Path, spec: PlaySpec) -> PlayDataset:
     arrays = {}
     for name in ARRAYS:
         arrays[name] = read_npy(folder / f"{name}.npy")
-        if sha256(folder / f"{name}.npy") != digests.get(name):
-            raise UserError(f"{folder / name}.npy is not the file that meta.json describes: its SHA-256 differs")
+        check_sha256(folder / f"{name}.npy", digests.get(name), "meta.json")
     dataset = PlayDataset(**arrays, meta=meta)
     check(dataset, spec, str(folder))
     return dataset
@@ -144,10 +144,16 @@ def load(folder: Path, spec: PlaySpec) -> PlayDataset:
 
 def write_npy(path: Path, array: np.ndarray) -> None:
     """Write one .npy file; unlike numpy.save, a full disk is reported as such."""
-    array = np.ascontiguousarray(array)
+    write_npy_parts(path, array.shape, array.dtype, [array])
+
+
+def write_npy_parts(path: Path, shape: tuple[int, ...], dtype: npt.DTypeLike, parts: Iterable[np.ndarray]) -> None:
+    """Write one .npy file of this shape, part by part along its first axis."""
+    header = {"descr": np.lib.format.dtype_to_descr(np.dtype(dtype)), "fortran_order": False, "shape": shape}
     with path.open("wb") as file:
-        np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(array))
-        file.write(array.data)
+        np.lib.format.write_array_header_1_0(file, header)
+        for part in parts:
+            file.write(np.ascontiguousarray(part, dtype=dtype).data)
 
 
 def read_npy(path: Path) -> np.ndarray:

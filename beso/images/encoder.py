@@ -17,8 +17,8 @@ from torch import Tensor
 
 from beso.config import build, require, require_positive
 from beso.errors import UserError
-from beso.files import read_json, replacing, sha256, write_json
-from beso.images.resnet import FEATURES, WIDTHS, ResNet18
+from beso.files import check_sha256, read_json, replacing, sha256, write_json
+from beso.images.resnet import FEATURES, ResNet18, check_width
 
 WEIGHTS, DESCRIPTION = "encoder.safetensors", "encoder.json"
 BATCH: Final = 16  # always so many frames at a time: another batch size is another order of sums in the products
@@ -42,7 +42,7 @@ class Encoding:
     precision: Literal["fp32", "bf16"]
 
     def __post_init__(self) -> None:
-        require(self.width in WIDTHS, f"width = {self.width}: must be one of {', '.join(map(str, WIDTHS))}")
+        check_width(self.width)
         require_positive(self, "size")
         require(len(self.mean) == len(self.std) == 3, "mean and std must have three numbers each")
         require(min(self.std) > 0, f"std = {list(self.std)}: must be above 0")
@@ -112,8 +112,7 @@ def load(folder: Path, device: torch.device) -> FrameEncoder:
     weights = folder / WEIGHTS
     if not weights.is_file():
         raise UserError(f"{weights} is missing")
-    if sha256(weights) != description.get("sha256"):
-        raise UserError(f"{weights} is not the file that {DESCRIPTION} describes: its SHA-256 differs")
+    check_sha256(weights, description.get("sha256"), DESCRIPTION)
     return FrameEncoder(network(encoding.width, safetensors.torch.load_file(weights), str(weights)), encoding, device)
 
 

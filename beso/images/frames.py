@@ -19,9 +19,9 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from beso.data.play import read_npy, write_npy
+from beso.data.play import read_npy, write_npy, write_npy_parts
 from beso.errors import UserError
-from beso.files import read_json, replacing, sha256, write_json
+from beso.files import check_sha256, read_json, replacing, sha256, write_json
 
 COLUMNS: Final = ("actions", "tasks", "states")
 ARRAYS: Final = ("frames", *COLUMNS, "episode_ends")
@@ -129,17 +129,18 @@ def pack(
         raise UserError(f"frames of {height} x {width} pixels cannot be packed as {size} x {size}")
     statistics = _ChannelStatistics()
     training = ~held_out_steps(episode_ends, held_out)
+
+    def resized() -> Iterator[np.ndarray]:
+        first = 0
+        for block in source.blocks():
+            frames = resize(block, size)
+            statistics.add(frames[training[first : first + len(frames)]])
+            first += len(frames)
+            yield frames
+
     with replacing(folder) as temporary:
         temporary.mkdir()
-        with (temporary / "frames.npy").open("wb") as file:
-            header = {"descr": "|u1", "fortran_order": False, "shape": (steps, size, size, 3)}
-            np.lib.format.write_array_header_1_0(file, header)
-            first = 0
-            for block in source.blocks():
-                frames = resize(block, size)
-                file.write(frames.data)
-                statistics.add(frames[training[first : first + len(frames)]])
-                first += len(frames)
+        write_npy_parts(temporary / "frames.npy", (steps, size, size, 3), np.uint8, resized())
         for name in COLUMNS:
             write_npy(temporary / f"{name}.npy", columns[name])
         write_npy(temporary / "episode_ends.npy", episode_ends)
@@ -206,8 +207,7 @@ def load(folder: Path, verify: bool = True) -> PackedPlay:
     frames = FrameFile(folder / "frames.npy")
     arrays = {name: read_npy(folder / f"{name}.npy") for name in ARRAYS if name != "frames"}
     for name in ARRAYS if verify else ():
-        if sha256(folder / f"{name}.npy") != meta.get("sha256", {}).get(name):
-            raise UserError(f"{folder / name}.npy is not the file that meta.json describes: its SHA-256 differs")
+        check_sha256(folder / f"{name}.npy", meta.get("sha256", {}).get(name), "meta.json")
     for name in COLUMNS:
         if len(arrays[name]) != len(frames):
             raise UserError(f"{folder / name}.npy has {len(arrays[name])} rows for {len(frames)} frames")

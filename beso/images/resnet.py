@@ -10,6 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from beso.config import require
+
 FEATURES: Final = 512
 WIDTHS: Final = {64: (1, 1), 32: (1, 2), 16: (2, 2), 8: (2, 4)}  # parts of the picture (rows, columns) pooled apart
 BLOCKS: Final = 2  # a stage
@@ -50,8 +52,7 @@ class ResNet18(nn.Module):
 
     def __init__(self, width: int, generator: torch.Generator) -> None:
         super().__init__()
-        if width not in WIDTHS:
-            raise ValueError(f"width = {width}: must be one of {', '.join(map(str, WIDTHS))}")
+        check_width(width)
         self.parts = WIDTHS[width]
         self.conv1 = nn.Conv2d(3, width, 7, stride=2, padding=3, bias=False)
         self.bn1 = nn.BatchNorm2d(width)
@@ -71,6 +72,11 @@ class ResNet18(nn.Module):
         x = functional.max_pool2d(x, 3, stride=2, padding=1)
         x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
         return functional.adaptive_avg_pool2d(x, self.parts).flatten(1)
+
+
+def check_width(width: int) -> None:
+    """Raise ValueError unless there is a network of this width."""
+    require(width in WIDTHS, f"width = {width}: must be one of {', '.join(map(str, WIDTHS))}")
 
 
 def _stage(inputs: int, outputs: int, stride: int) -> nn.Sequential:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -91,17 +90,9 @@ def encode_all(encoder_folder: Path, folder: Path, machine: Machine, target: Pat
     ]
     on_gpu = pick_device(machine.device).type != "cpu"  # which one process keeps busy; many would fill its memory
     parts = map_jobs(encode_share, jobs, 1 if on_gpu else machine.workers, "features")
-    write_features(target, steps, parts)
+    with replacing(target) as temporary:
+        play.write_npy_parts(temporary, (steps, FEATURES), np.float32, parts)
     return play.read_npy(target)
-
-
-def write_features(target: Path, steps: int, parts: Iterator[np.ndarray]) -> None:
-    """Write features part by part as one .npy file."""
-    with replacing(target) as temporary, temporary.open("wb") as file:
-        header = {"descr": "<f4", "fortran_order": False, "shape": (steps, FEATURES)}
-        np.lib.format.write_array_header_1_0(file, header)
-        for part in parts:
-            file.write(np.ascontiguousarray(part, dtype="<f4").data)
 
 
 def encode_share(encoder_folder: Path, folder: Path, start: int, stop: int, device: str) -> np.ndarray:

@@ -30,7 +30,7 @@ from beso.data.play import read_npy, write_npy
 from beso.envs.calvin.simulator import tasks
 from beso.envs.calvin.simulator.observations import ACTION_SIZE, ROBOT_SIZE, SCENE_SIZE
 from beso.errors import UserError
-from beso.files import read_json, replacing, sha256, write_json
+from beso.files import check_sha256, read_json, replacing, sha256, write_json
 
 if TYPE_CHECKING:
     from beso.envs.calvin.demonstrations.scripted import Step
@@ -219,8 +219,7 @@ def load(folder: Path, verify: bool = True) -> RawPlay:
     arrays = {name: read_npy(folder / f"{name}.npy") for name in ARRAYS}
     _check(arrays, folder)
     for name in ARRAYS if verify else ():
-        if sha256(folder / f"{name}.npy") != meta.get("sha256", {}).get(name):
-            raise UserError(f"{folder / name}.npy is not the file that meta.json describes: its SHA-256 differs")
+        check_sha256(folder / f"{name}.npy", meta.get("sha256", {}).get(name), "meta.json")
     return RawPlay(**arrays, meta=meta)
 
 
