@@ -92,10 +92,6 @@ class DiffusionSampling(SamplingConfig):
 
         return SCHEDULES[self.schedule](self.steps, self.sigma_min, self.sigma_max).tolist()
 
-    def context_steps(self, trained: int) -> int:
-        """The context's length if one is given."""
-        return self.context_length or trained
-
 
 def _check_range(sigma_min: float, sigma_max: float) -> None:
     require(0 < sigma_min < sigma_max, f"sigma_min = {sigma_min}: must be above 0 and below sigma_max = {sigma_max}")

@@ -32,8 +32,11 @@ class SamplingConfig:
     """What a method's Sampling inherits."""
 
     def context_steps(self, trained: int) -> int:
-        """Time steps of the context in rollouts, for a policy whose training suggests `trained`."""
-        return trained
+        """Time steps of the context in rollouts, for a policy whose training suggests `trained`.
+
+        A Sampling that has a `context_length` may ask for another number.
+        """
+        return getattr(self, "context_length", None) or trained
 
 
 class ModelConfig:

@@ -62,10 +62,6 @@ class Sampling(SamplingConfig):
     def __post_init__(self) -> None:
         require_positive(self, "context_length")
 
-    def context_steps(self, trained: int) -> int:
-        """The context's length if one is given."""
-        return self.context_length or trained
-
 
 class Method(nn.Module, Policy):
     """The policy. See beso.methods.Policy."""

@@ -72,10 +72,6 @@ class Sampling(SamplingConfig):
         require_positive(self, "steps", "context_length")
         require(self.extra_steps >= 0, f"extra_steps = {self.extra_steps}: must not be negative")
 
-    def context_steps(self, trained: int) -> int:
-        """The context's length if one is given."""
-        return self.context_length or trained
-
 
 class Method(nn.Module, Policy):
     """The policy. See beso.methods.Policy."""
