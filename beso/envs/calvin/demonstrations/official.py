@@ -11,7 +11,7 @@ import itertools
 import re
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -110,25 +110,21 @@ def read_frame(path: Path, size: int | None) -> dict[str, np.ndarray]:
     return {"frames": frame, **found}
 
 
-def convert(
-    source: Path, target: Path, size: int | None, workers: int, meta: Mapping[str, Any], *further: Path
-) -> None:
-    """Bring a data set in CALVIN's layout into the form of `raw`, episode by episode.
+def convert(layouts: Sequence[Layout], target: Path, size: int | None, workers: int, meta: Mapping[str, Any]) -> None:
+    """Bring data in CALVIN's layout into the form of `raw`, episode by episode, folder after folder.
 
     Its tasks are unknown, so the column `tasks` stays zero, and each episode is one segment; meta.json says so.
 
     Args:
-        source: the folder `training` or `validation`.
+        layouts: of the folders, `training` or `validation`.
         target: the folder to write.
         size: height and width of the frames written, pixels; None keeps those of the files.
         workers: how many files are read at a time.
         meta: entries for meta.json.
-        further: folders whose episodes come after those of `source`.
 
     Raises:
-        UserError: see `layout` and `read_frame`; frames of unequal sizes.
+        UserError: see `read_frame`; frames of unequal sizes.
     """
-    layouts = [layout(folder) for folder in (source, *further)]
     frames = sum(last - first + 1 for found in layouts for first, last in found.episodes)
     progress = tqdm(total=frames, desc="convert", unit="frame", disable=None)
     with writing(target, {"labelled": False, **meta}) as writer, ThreadPoolExecutor(workers) as pool, progress:

@@ -27,7 +27,8 @@ def convert(published: Path, folder: Path, size: int, workers: int) -> None:
     splits = [published / TRAINING]
     if (published / VALIDATION).is_dir():
         splits.append(published / VALIDATION)
-    counts = [len(official.layout(split).episodes) for split in splits]
+    layouts = [official.layout(split) for split in splits]
+    counts = [len(found.episodes) for found in layouts]
     held_out = list(range(counts[0], sum(counts)))
     meta = {"source": "published CALVIN", "held_out_episodes": held_out}
-    official.convert(splits[0], folder, size, workers, meta, *splits[1:])
+    official.convert(layouts, folder, size, workers, meta)

@@ -47,7 +47,7 @@ def calvin(tmp_path, folder):
 
 
 def convert(calvin, target, size=None, **meta):
-    official.convert(calvin, target, size=size, workers=2, meta=meta)
+    official.convert([official.layout(calvin)], target, size=size, workers=2, meta=meta)
     return raw.load(target)
 
 
