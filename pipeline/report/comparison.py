@@ -91,15 +91,17 @@ class Measured(NamedTuple):
     rows: pd.DataFrame
 
 
-def compare(params: Params) -> pd.DataFrame:
+def compare(params: Params, sources: dict[str, str]) -> pd.DataFrame:
     """One row for each number of the paper, in its order, then one for each of ours that the paper does not have.
+
+    Args:
+        sources: where each environment's play data came from, in words (see `source`).
 
     The 95 % interval of the difference joins ours (pipeline.report.statistics) and Student's of the paper's mean and
     std; the paper's std also stands for the spread between seeds where we have one seed. A number of the paper without
     a std counts as exact.
     """
     cells = _cells(params)
-    sources = {name: source(play.load(paths.play(name), envs.spec(name))) for name in params.envs}
     named = dict(places()[["label", "name"]].itertuples(index=False))
     known: dict[str, pd.DataFrame] = {}
     rows, beside = [], set()
@@ -138,9 +140,9 @@ def _cells(params: Params) -> dict[Key, Measured]:
     """Every number of the run's cells, in the order of a table."""
     found: dict[Key, Measured] = {}
     for environment in params.envs:
+        played = {method: read_episodes(environment, method) for method in params.methods_in(environment)}
         for metric in envs.report(environment).METRICS:
-            for method in params.methods_in(environment):
-                episodes = read_episodes(environment, method)
+            for method, episodes in played.items():
                 for goals in params.environments[environment].evaluation.goals:
                     part = episodes[episodes["goals"] == goals]
                     found[environment, metric.name, method, goals] = Measured(over_seeds(part, metric), part)

@@ -14,6 +14,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from beso import envs
+from beso.envs.figures import COLOURS as METHOD_COLOURS
+from beso.envs.figures import panels
 from beso.envs.protocol import Drawing
 from beso.files import replacing, write_json
 from pipeline import paths
@@ -22,15 +24,14 @@ from pipeline.report import studies
 from pipeline.report.comparison import of_cells
 from pipeline.report.names import Names
 
-# Wong's colours, told apart with any colour vision.
-COLOURS = {"ours": "#0072B2", "held_out": "#56B4E9", "paper": "#E69F00"}
+BLUE, ORANGE, GREEN, _, RED, LIGHT_BLUE = METHOD_COLOURS[:6]
+COLOURS = {"ours": BLUE, "held_out": LIGHT_BLUE, "paper": ORANGE}
 MARKS = {  # by verdict
-    "better": ("^", COLOURS["ours"]),
-    "same": ("s", "#009E73"),
-    "worse": ("v", "#D55E00"),
+    "better": ("^", BLUE),
+    "same": ("s", GREEN),
+    "worse": ("v", RED),
     "cannot tell": ("o", "#888888"),
-}
-METHOD_COLOURS = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#F0E442", "#000000"]
+}  # by verdict
 STYLE = {"font.size": 8, "axes.spines.top": False, "axes.spines.right": False, "pdf.fonttype": 42, "savefig.dpi": 200}
 
 
@@ -230,19 +231,14 @@ def probe(table: pd.DataFrame) -> Figure:
 def fork_samples(params: Params, names: Names) -> Figure:
     """Actions of the demonstrations and of every method on the fork, a panel each."""
     table = pd.read_csv(paths.FORK)
-    panels = ["data", *params.fork.methods]
-    columns = min(5, len(panels))
-    rows = math.ceil(len(panels) / columns)
-    figure = Figure(figsize=(7, 0.4 + 1.1 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flatten()
-    for axis, method in zip(grid, panels, strict=False):
+    shown = ["data", *params.fork.methods]
+    figure, grid = panels(len(shown), 0.4, 1.1)
+    for axis, method in zip(grid, shown, strict=False):
         part = table[table["method"] == method]
         colour = COLOURS["paper"] if method == "data" else COLOURS["ours"]
         axis.scatter(part["x"], part["y"], s=2, color=colour, linewidths=0)
         axis.set_title("demonstrations" if method == "data" else names.methods[method])
         axis.set(xlim=(-1.2, 1.2), ylim=(-0.3, 0.9))
-    for axis in grid[len(panels) :]:
-        axis.set_axis_off()
     figure.supxlabel("action, first entry")
     figure.supylabel("second entry")
     return figure

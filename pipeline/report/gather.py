@@ -20,7 +20,8 @@ from pipeline.report.tables import main_methods, main_rows, number, significant
 def gather(params: Params) -> dict[str, Any]:
     """Values for templates and figures: parameters, names, comparison, main table, studies, data and their sources."""
     datasets = {environment: play.load(paths.play(environment), envs.spec(environment)) for environment in params.envs}
-    comparison, names = compare(params), Names(params)
+    sources = {name: source(dataset) for name, dataset in datasets.items()}
+    comparison, names = compare(params, sources), Names(params)
     episodes = {
         environment: {names.methods[m]: read_episodes(environment, m) for m in params.methods_in(environment)}
         for environment in params.envs
@@ -40,7 +41,7 @@ def gather(params: Params) -> dict[str, Any]:
         "episodes": episodes,
         "own_tables": [t for name, data in datasets.items() for t in envs.report(name).tables(data, episodes[name])],
         "data": {name: beside_published(envs.report(name), dataset) for name, dataset in datasets.items()},
-        "sources": {name: source(dataset) for name, dataset in datasets.items()},
+        "sources": sources,
     }
 
 

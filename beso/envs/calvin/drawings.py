@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from beso.data.play import PlayDataset
 from beso.envs.calvin.spec import SPEC
+from beso.envs.figures import COLOURS
 
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#F0E442", "#000000")  # Wong's
 MEAN = "mean"
 COLUMNS = ("single tasks", "two tasks: at least one", "two tasks: both at once", "two tasks: share done")
 

@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from beso.data.play import PlayDataset
+from beso.envs.figures import COLOURS, panels
 from beso.envs.kitchen.simulator import KitchenEnv
 from beso.envs.kitchen.spec import TASKS
 from beso.envs.protocol import Episodes
@@ -18,7 +19,7 @@ Order = tuple[int, ...]  # tasks as they were done
 APPROACH = 25  # steps before a task is done: about two seconds, from the way to the thing to its end
 DRAWN = 60  # demonstrations a panel
 FINGERS, OPEN = 7, 0.02  # entry of an observation, and metres above which the hand is open
-BLUE, ORANGE = "#0072B2", "#E69F00"
+BLUE, ORANGE = COLOURS[:2]
 
 
 def orders(rows: pd.DataFrame) -> list[Order]:
@@ -41,26 +42,21 @@ def transitions(done: Iterable[Order]) -> np.ndarray:
 
 def order_matrices(dataset: PlayDataset, episodes: Episodes) -> Figure:
     """Which task follows which: the demonstrations and every method, a panel each."""
-    panels = {"demonstrations": [dataset.completed(i) for i in range(len(dataset))]}
-    panels |= {method: orders(rows) for method, rows in episodes.items()}
-    columns = min(5, len(panels))
-    lines = -(-len(panels) // columns)
-    figure = Figure(figsize=(7, 0.5 + 1.6 * lines), layout="constrained")
-    grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False).flatten()
+    shown = {"demonstrations": [dataset.completed(i) for i in range(len(dataset))]}
+    shown |= {method: orders(rows) for method, rows in episodes.items()}
+    figure, grid = panels(len(shown), 0.5, 1.6)
     letters = [task.letter for task in TASKS]
     image = None
-    for axis, (title, done) in zip(grid, panels.items(), strict=False):
+    for axis, (title, done) in zip(grid, shown.items(), strict=False):
         image = axis.imshow(transitions(done), vmin=0, vmax=1, cmap="Blues", aspect="equal")
         axis.set_title(title)
         axis.set_xticks(range(len(letters)), letters)
         axis.set_yticks(range(len(letters) + 1), ["start", *letters])
         axis.spines[:].set_visible(True)
-    for axis in grid[len(panels) :]:
-        axis.set_axis_off()
     figure.supxlabel("next task")
     figure.supylabel("task before")
     assert image is not None
-    figure.colorbar(image, ax=list(grid), label="share", fraction=0.02)
+    figure.colorbar(image, ax=grid, label="share", fraction=0.02)
     return figure
 
 
@@ -74,8 +70,9 @@ def completion(episodes: Episodes, most: int) -> Figure:
     figure = Figure(figsize=(7, 2.2), layout="constrained")
     axis = figure.subplots()
     shades = np.linspace(0.35, 1.0, most)
+    shares = [completed_shares(rows, most) for rows in episodes.values()]
     for n in range(most):
-        heights = [completed_shares(rows, most)[n] for rows in episodes.values()]
+        heights = [of_method[n] for of_method in shares]
         places = np.arange(len(episodes)) + (n - (most - 1) / 2) * 0.8 / most
         axis.bar(places, heights, 0.8 / most, color=BLUE, alpha=shades[n], label=f"at least {n + 1}")
     axis.set_xticks(range(len(episodes)), list(episodes), rotation=30, ha="right")
