@@ -14,7 +14,7 @@ def main() -> None:
     values["captions"] = figures.draw_all(params, values, paths.REPORTS / "figures")
     write_text(paths.REPORTS / "tables.tex", tables.render("tables.tex.j2", values))
     write_text(paths.REPORTS / "comparison.csv", values["comparison"].to_csv(index=False, float_format="%.6g"))
-    write_json(paths.REPORTS / "metrics.json", metrics.metrics(params))
+    write_json(paths.REPORTS / "metrics.json", metrics.metrics(values))
 
 
 if __name__ == "__main__":
