@@ -15,7 +15,8 @@ from beso.data.spec import Sizes
 from beso.memory import Memory
 from beso.noise import BatchNoise
 from pipeline import profile
-from pipeline.params import Params
+from pipeline.params import Cell, Params
+from pipeline.pool import map_jobs
 
 WARM_UP = 1  # calls that do not count
 
@@ -23,26 +24,31 @@ WARM_UP = 1  # calls that do not count
 def measure(params: Params) -> pd.DataFrame:
     """One row for each environment, method and batch size, with the paper's networks and samplers.
 
-    Cells that the paper profile does not have are left out.
+    Cells that the paper profile does not have are left out. One thread, as policies are evaluated with: more would
+    wait for each other wherever another program is busy.
 
     Columns: environment, method, parameters, batch, median and quartiles of the milliseconds of one call with a full
     context. Weights are random: time does not depend on them.
     """
     paper = profile.load(profile.COMPLETE)
+    jobs = [(params, paper, cell) for name, cell in params.cells.items() if name in paper.cells]
+    # One worker is this process with a single thread.
+    return pd.DataFrame([row for rows in map_jobs(time_cell, jobs, 1, "latency") for row in rows])
+
+
+def time_cell(params: Params, paper: Params, cell: Cell) -> list[dict[str, Any]]:
+    """The rows of one cell."""
+    sizes = envs.spec(cell.env).sizes
+    model, sampling = paper.methods[cell.method].train[cell.env].model, paper.sampling(cell.env, cell.method)
+    policy, length = build(cell.of, model, sampling, sizes), sampling.context_steps(model.context)
+    count = sum(p.numel() for p in policy.parameters())
     rows = []
-    for name, cell in params.cells.items():
-        if name not in paper.cells:
-            continue
-        sizes = envs.spec(cell.env).sizes
-        model, sampling = paper.methods[cell.method].train[cell.env].model, paper.sampling(cell.env, cell.method)
-        policy, length = build(cell.of, model, sampling, sizes), sampling.context_steps(model.context)
-        count = sum(p.numel() for p in policy.parameters())
-        for batch in params.latency.batches:
-            times = time_calls(policy, length, sizes, batch, params.latency.repeats)
-            q1, median, q3 = np.percentile(times, [25, 50, 75]).round(3)
-            row = {"environment": cell.env, "method": cell.method, "parameters": count, "batch": batch}
-            rows.append({**row, "median_ms": median, "q1_ms": q1, "q3_ms": q3})
-    return pd.DataFrame(rows)
+    for batch in params.latency.batches:
+        times = time_calls(policy, length, sizes, batch, params.latency.repeats)
+        q1, median, q3 = np.percentile(times, [25, 50, 75]).round(3)
+        row = {"environment": cell.env, "method": cell.method, "parameters": count, "batch": batch}
+        rows.append({**row, "median_ms": median, "q1_ms": q1, "q3_ms": q3})
+    return rows
 
 
 def build(method: str, config: Any, sampling: Any, sizes: Sizes) -> Any:

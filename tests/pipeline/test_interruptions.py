@@ -48,7 +48,7 @@ def test_killed_five_times_and_resumed_gives_the_undisturbed_checkpoint(slow, tm
     output = slow.run(*train).stdout
     assert "continuing at step" in output
     assert slow.files("models", "curves") == undisturbed.files("models", "curves")
-    assert not list(slow.folder.glob(".scratch/*"))
+    assert {path.name for path in slow.folder.glob(".scratch/*")} <= {"logs"}  # those of the run that made this copy
 
 
 def test_ctrl_c_is_one_line_and_the_next_repro_continues(slow):
