@@ -2,10 +2,12 @@
 
 import dataclasses
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import safetensors.torch
 import torch
 from safetensors import SafetensorError
@@ -17,16 +19,31 @@ from beso.data.scaling import Scaling
 from beso.data.spec import Sizes
 from beso.errors import UserError
 from beso.files import read_json, replacing, write_json
+from beso.images import finetuned
+from beso.images.encoder import Encoding, FrameEncoder
 from beso.training_config import TrainingJob
 
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained model: averaged weights by name, scaling, and one row of the curve a measurement."""
+    """A trained model.
+
+    Attributes:
+        weights: averaged weights by name.
+        scaling: between raw and its own units.
+        curve: one row a measurement.
+        encoding: how its own encoder, which was trained with it, takes frames; None if it has none.
+    """
 
     weights: dict[str, Tensor]
     scaling: Scaling
     curve: list[dict[str, float]]
+    encoding: Encoding | None = None
+
+
+def as_they_are(observations: np.ndarray) -> np.ndarray:
+    """What a model without an encoder makes of observations (B, O)."""
+    return observations
 
 
 @dataclass(frozen=True)
@@ -37,11 +54,13 @@ class Loaded:
         method: the policy, see beso.methods.Policy.
         scaling: between raw and its own units.
         context: time steps that it sees in rollouts.
+        encode: its own encoder, where it was trained with one: frames (B, H, W, 3) -> raw observations (B, O).
     """
 
     method: Any
     scaling: Scaling
     context: int
+    encode: Callable[[np.ndarray], np.ndarray] = as_they_are
 
 
 def paths(folder: Path, seed: int) -> tuple[Path, Path]:
@@ -63,6 +82,7 @@ def save(folder: Path, job: TrainingJob, sizes: Sizes, trained: Trained, data_di
             "scaling": trained.scaling.as_dict(),
             "torch": torch.__version__,
             "curve": trained.curve,
+            **({} if trained.encoding is None else {"encoder": dataclasses.asdict(trained.encoding)}),
         },
     )
 
@@ -116,10 +136,16 @@ def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded
         raise UserError(f"{weights_path} is missing or damaged ({error})") from None
     unused = torch.Generator()  # initial weights, overwritten below
     method = module.Method(config, sampling, sizes, unused)
+    whole: torch.nn.Module = method
+    encode: Callable[[np.ndarray], np.ndarray] = as_they_are
+    if "encoder" in description:
+        encoding = build(Encoding, description["encoder"], f"{description_path}: encoder")
+        whole = finetuned.modules(method, encoding)
+        encode = FrameEncoder(whole["encoder"], encoding, device)
     shapes = {key: tuple(value.shape) for key, value in weights.items()}
-    if shapes != {key: tuple(value.shape) for key, value in method.state_dict().items()}:
+    if shapes != {key: tuple(value.shape) for key, value in whole.state_dict().items()}:
         raise UserError(f"{weights_path} is damaged: its weights are not those of a {name} of this configuration")
-    method.load_state_dict(weights)
+    whole.load_state_dict(weights)
     context = config.context
     if sampling is not None:
         try:
@@ -127,7 +153,7 @@ def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded
         except ValueError as error:
             raise UserError(f"{description_path}: sampling: {error}") from None
         context = sampling.context_steps(config.context)
-    return Loaded(method.to(device).eval(), Scaling.from_dict(description["scaling"]), context)
+    return Loaded(method.to(device).eval(), Scaling.from_dict(description["scaling"]), context, encode)
 
 
 def _first_difference(found: Any, expected: Any, key: str) -> str | None:

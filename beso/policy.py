@@ -29,12 +29,15 @@ class Agent:
 
     Args:
         policy: a trained policy.
-        goals: (B, G, observation_size) raw goal states, constant through the episodes.
+        goals: (B, G, observation_size) raw goal states, constant through the episodes; or frames (B, G, H, W, 3), as
+            all observations then, if the policy has an encoder of its own.
     """
 
     def __init__(self, policy: checkpoint.Loaded, goals: np.ndarray, device: torch.device) -> None:
         self.method, self.scaling, self.window, self.device = policy.method, policy.scaling, policy.context, device
-        self.goal = self.scaling.goals(self._tensor(goals))
+        self.encode = policy.encode
+        encoded = self.encode(goals.reshape(-1, *goals.shape[2:]))
+        self.goal = self.scaling.goals(self._tensor(encoded.reshape(*goals.shape[:2], -1)))
         self.observations = self.goal[:, :0]  # (B, up to window, O)
         self.actions: torch.Tensor | None = None  # (B, up to window - 1, A)
         self.memory: Memory = {}
@@ -45,7 +48,7 @@ class Agent:
     @torch.inference_mode()
     def act(self, observations: np.ndarray, noise: Noise) -> np.ndarray:
         """(B, observation_size) raw observations -> (B, action_size) raw actions."""
-        current = self.scaling.observations(self._tensor(observations))
+        current = self.scaling.observations(self._tensor(self.encode(observations)))
         self.observations = torch.cat([self.observations, current[:, None]], dim=1)[:, -self.window :]
         if self.actions is None:
             self.actions = current.new_empty(len(current), 0, len(self.scaling.action_low))
@@ -95,7 +98,8 @@ class Policy:
         """Start an episode.
 
         Args:
-            goal: (G, observation_size) raw goal states, or one state.
+            goal: (G, observation_size) raw goal states, or one state; frames (G, H, W, 3) for a policy that has its own
+                encoder.
             seed: of the policy's random numbers in this episode.
         """
         self._agent = Agent(self._loaded, np.atleast_2d(goal)[None], self._device)

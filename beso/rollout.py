@@ -113,7 +113,7 @@ def _play(
         outcomes.append(Outcome(0.0, 0, observation, info, info["goal"]))
     goals = np.stack([outcome.goal for outcome in outcomes])  # (B, G, ...)
     encoded = encode(goals.reshape(-1, *goals.shape[2:]))
-    agent = Agent(policy, encoded.reshape(*goals.shape[:2], -1), device)
+    agent = Agent(policy, encoded.reshape(*goals.shape[:2], *encoded.shape[1:]), device)
     limits = [min(trial.limit, max_actions or trial.limit) for trial in chosen]
     _show(film, environments[0])
     running = np.arange(len(chosen))

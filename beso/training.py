@@ -20,6 +20,7 @@ from beso.data.scaling import Scaling
 from beso.data.spec import PlaySpec
 from beso.data.windows import Windows
 from beso.errors import UserError
+from beso.images import finetuned
 from beso.loop_state import LoopState
 from beso.seeding import integer_seed, torch_generator
 from beso.training_config import TrainingJob
@@ -34,10 +35,14 @@ def train(
     device: torch.device,
     state_path: Path,
     save_seconds: float = 60.0,
+    encoder: Path | None = None,
 ) -> Trained:
     """Train one model, continuing from `state_path` where that file exists.
 
     The file is rewritten every `save_seconds` and is the caller's to delete.
+
+    Args:
+        encoder: folder of the encoder that is trained too, where the dataset holds frames.
     """
     # Data
     optimization, model = job.config.optimization, job.config.model
@@ -51,7 +56,13 @@ def train(
 
     # Model, averages, optimizer
     initial = torch_generator(job.root_seed, "initial weights", job.seed)
-    method = methods.load(job.method).Method(model, None, spec.sizes, initial).to(device).train()
+    method = methods.load(job.method).Method(model, None, spec.sizes, initial)
+    encoding = None
+    if dataset.frame_size is not None:
+        assert encoder is not None
+        method = finetuned.join(method, encoder, dataset, training_episodes)
+        encoding = method.encoding
+    method = method.to(device).train()
     method.prepare(windows.actions, integer_seed(job.root_seed, "preparation", job.seed))
     averaged = copy.deepcopy(method).eval().requires_grad_(False)
     parameters, averages = list(method.parameters()), list(averaged.parameters())
@@ -93,6 +104,7 @@ def train(
         done = step + 1
         if done % job.validation.every == 0 or done == optimization.steps:
             since = done - (curve[-1]["step"] if curve else 0)
+            averaged.settle()
             with torch.no_grad():  # not inference mode: C-IBC's loss has a gradient within
                 held_out_loss = averaged.loss(held_out_batch, torch_generator(*validation_seed, device=device)).item()
             curve.append(
@@ -118,4 +130,4 @@ def train(
             saved_at = time.monotonic()
 
     weights = {key: value.detach().cpu().contiguous() for key, value in averaged.state_dict().items()}
-    return Trained(weights, scaling, curve)
+    return Trained(weights, scaling, curve, encoding)

@@ -114,16 +114,20 @@ class Features:
     Attributes:
         width: channels of its first stage, see beso.images.resnet.
         precision: "fp32", or "bf16" for autocast, in training and afterwards.
-        weights: if given, nothing is trained.
+        weights: if given, nothing is trained before.
+        finetune: every policy trains its own copy on, as in the paper; else it is frozen.
     """
 
     width: int
     precision: Literal["fp32", "bf16"]
     weights: Weights | None
     pretraining: Pretraining
+    finetune: bool
 
     def __post_init__(self) -> None:
         check_width(self.width)
+        untrained = self.pretraining.steps == 0 and self.weights is None
+        require(self.finetune or not untrained, "pretraining.steps = 0: must be at least 1 unless finetune is true")
 
 
 @dataclass(frozen=True)

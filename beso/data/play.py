@@ -1,12 +1,15 @@
 """Play datasets: flat arrays of whole episodes, one after another.
 
-    observations.npy   (steps, observation_size)  float32
+    observations.npy   (steps, observation_size)  float32, or frames (steps, size, size, 3) uint8, see below
     actions.npy        (steps, action_size)       float32
     tasks.npy          (steps, number of tasks)   uint8, 1 where a task is completed for the first time
     episode_ends.npy   (episodes,)                int64, index one past each episode's last step
     meta.json          source, counts, versions, SHA-256 of the arrays
 
 Episode e is steps [ends[e-1], ends[e]). Row t holds the observation at t and the action taken there.
+
+Observations are frames where policies train an encoder too (beso.images.finetuned): meta.json has then an entry
+"finetune" with the frames' size and the SHA-256 of the encoder's description, which lies beside the arrays.
 """
 
 import shutil
@@ -55,6 +58,11 @@ class PlayDataset:
         return len(self.episode_ends)
 
     @property
+    def frame_size(self) -> int | None:
+        """Height and width where observations are frames, pixels."""
+        return self.meta.get("finetune", {}).get("frame_size")
+
+    @property
     def episode_starts(self) -> np.ndarray:
         """Index of each episode's first step, (episodes,)."""
         return np.concatenate([[0], self.episode_ends[:-1]])
@@ -92,9 +100,9 @@ def check(dataset: PlayDataset, spec: PlaySpec, where: str) -> None:
     Raises:
         UserError: naming the array, the place and what is wrong with it.
     """
-    steps = len(dataset.observations)
-    shapes = {
-        "observations": (steps, spec.observation_size),
+    steps, size = len(dataset.observations), dataset.frame_size
+    shapes: dict[str, tuple[int, ...]] = {
+        "observations": (steps, spec.observation_size) if size is None else (steps, size, size, 3),
         "actions": (steps, spec.action_size),
         "tasks": (steps, len(spec.tasks)),
     }
@@ -174,8 +182,11 @@ def read_npy(path: Path) -> np.ndarray:
 
 
 def data_digest(dataset: PlayDataset) -> str:
-    """One string that changes when any array does."""
-    return "-".join(dataset.meta["sha256"][name][:16] for name in ARRAYS)
+    """One string that changes when any array does, or the encoder that is trained on."""
+    digests = [dataset.meta["sha256"][name] for name in ARRAYS]
+    if dataset.frame_size is not None:
+        digests.append(dataset.meta["finetune"]["encoder"])
+    return "-".join(digest[:16] for digest in digests)
 
 
 def split_episodes(episodes: int, train_fraction: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
 """Scaling of what goes into a policy and what comes out of it.
 
 Observations and goals are z-scored per dimension; actions are mapped to [-1, 1] by their range (paper, appendix
-"Normalization"). Statistics come from the training episodes alone.
+"Normalization"). Statistics come from the training episodes alone. Features of an encoder that is trained with the
+policy have none; they come scaled (beso.images.finetuned).
 """
 
 from dataclasses import asdict, dataclass
@@ -33,14 +34,16 @@ class Scaling:
         chosen = np.zeros(len(dataset), dtype=bool)
         chosen[episodes] = True
         steps = np.repeat(chosen, dataset.lengths)
-        observations = dataset.observations[steps][:, spec.visible].astype(np.float64)
         actions = dataset.actions[steps].astype(np.float64)
-        std = observations.std(axis=0)
+        mean, std = np.zeros(len(spec.visible)), np.ones(len(spec.visible))
+        if dataset.frame_size is None:
+            observations = dataset.observations[steps][:, spec.visible].astype(np.float64)
+            mean, std = observations.mean(axis=0), observations.std(axis=0)
         span = actions.max(axis=0) - actions.min(axis=0)
         return cls(
             visible=spec.visible,
             goal_masked=spec.goal_masked,
-            mean=tuple(observations.mean(axis=0).tolist()),
+            mean=tuple(mean.tolist()),
             std=tuple(np.where(std > 0, std, 1.0).tolist()),
             action_low=tuple(actions.min(axis=0).tolist()),
             action_high=tuple((actions.min(axis=0) + np.where(span > 0, span, 1.0)).tolist()),

@@ -38,6 +38,8 @@ class Batch(NamedTuple):
         goal: (B, G, O), masked dimensions zero.
         future: (B, L, O) the states after the window, not masked.
         goal_step: (B,) steps from the window's last state to the goal's first.
+
+    Of a dataset of frames, states are not there but named: steps of the dataset, O = 1 whole number.
     """
 
     observations: Tensor
@@ -90,8 +92,11 @@ class Windows:
         if goal_horizon is not None:
             last_goals = np.minimum(last_goals, np.arange(room.sum()) + first_of_episode + window - 1 + goal_horizon)
         self._last_goals = torch.from_numpy(last_goals).to(device)
-        self._observations = scaling.observations(torch.from_numpy(np.array(dataset.observations))).to(device)
-        self._goals = scaling.mask_goals(self._observations)
+        if dataset.frame_size is None:
+            self._observations = scaling.observations(torch.from_numpy(np.array(dataset.observations))).to(device)
+            self._goals = scaling.mask_goals(self._observations)
+        else:  # frames would not fit; what encodes them reads those of a batch
+            self._observations = self._goals = torch.arange(len(dataset.observations), device=device)[:, None]
         self._actions = scaling.actions(torch.from_numpy(np.array(dataset.actions))).to(device)
         self._steps = torch.arange(window, device=device)
         self._goal_steps = torch.arange(goal_window, device=device)

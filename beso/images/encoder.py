@@ -1,4 +1,4 @@
-"""The frozen encoder between camera frames and policies, on disk beside the play data that it made.
+"""The encoder between camera frames and policies, on disk beside the play data that it made.
 
 encoder.safetensors   the network's weights, by torchvision's names
 encoder.json          architecture, frame size, channel statistics, precision, where the weights come from, SHA-256
@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import safetensors.torch
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from beso.config import build, require, require_positive
 from beso.errors import UserError
@@ -56,7 +56,7 @@ class Encoding:
 class FrameEncoder:
     """Maps frames to features on one device. A frame's features depend on that frame alone, to the last bit."""
 
-    def __init__(self, network: ResNet18, encoding: Encoding, device: torch.device) -> None:
+    def __init__(self, network: nn.Module, encoding: Encoding, device: torch.device) -> None:
         self.encoding, self.device = encoding, device
         self.network = network.to(device, memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
 
@@ -87,8 +87,14 @@ class FrameEncoder:
             return self.network(pictures).float().cpu().numpy()
 
 
-def save(folder: Path, network: ResNet18, encoding: Encoding, provenance: Mapping[str, Any]) -> None:
-    """Write the encoder's two files into an existing folder."""
+def save(
+    folder: Path, network: ResNet18, encoding: Encoding, provenance: Mapping[str, Any], shift: int | None = None
+) -> None:
+    """Write the encoder's two files into an existing folder.
+
+    Args:
+        shift: of an encoder that is trained on with each policy (beso.images.finetuned): the largest random shift.
+    """
     weights = {name: value.cpu().contiguous() for name, value in network.state_dict().items()}
     with replacing(folder / WEIGHTS) as temporary:
         temporary.write_bytes(safetensors.torch.save(weights))
@@ -97,6 +103,7 @@ def save(folder: Path, network: ResNet18, encoding: Encoding, provenance: Mappin
         "encoding": dataclasses.asdict(encoding),
         "provenance": dict(provenance),
         "sha256": sha256(folder / WEIGHTS),
+        **({} if shift is None else {"finetune": True, "shift": shift}),
     }
     write_json(folder / DESCRIPTION, description)
 

@@ -51,7 +51,7 @@ class Pretraining:
     """How an encoder is trained.
 
     Attributes:
-        steps, batch_size: updates, and pairs of frames an update.
+        steps, batch_size: updates, 0 for random weights, and pairs of frames an update.
         learning_rate, weight_decay: of AdamW; the rate rises for 50 steps and then falls to 0 as a cosine.
         inverse_dynamics, reconstruction: weights of the two objectives; 0 leaves one out.
         horizon: the largest number of steps between two frames.
@@ -68,7 +68,8 @@ class Pretraining:
     shift: int
 
     def __post_init__(self) -> None:
-        require_positive(self, "steps", "batch_size", "horizon")
+        require(self.steps >= 0, f"steps = {self.steps}: must not be negative")
+        require_positive(self, "batch_size", "horizon")
         require(self.learning_rate > 0, f"learning_rate = {self.learning_rate}: must be above 0")
         for name in ("weight_decay", "inverse_dynamics", "reconstruction", "shift"):
             require(getattr(self, name) >= 0, f"{name} = {getattr(self, name)}: must not be negative")

@@ -87,6 +87,9 @@ class Policy(Protocol):
     def schedule(self, done: float) -> None:
         """Hear before every update which share of the training is done."""
 
+    def settle(self) -> None:
+        """As averaged weights, before they are measured or saved: renew what is measured with the weights."""
+
 
 class Module(Protocol):
     """What a method's module offers."""

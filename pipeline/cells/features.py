@@ -1,4 +1,4 @@
-"""The encoder of one environment's frames, and the play dataset of its features, on which policies train."""
+"""The encoder of one environment's frames, and the play dataset on which policies train: its features, or frames."""
 
 import dataclasses
 import shutil
@@ -13,7 +13,7 @@ from beso import envs
 from beso.data import play
 from beso.data.play import PlayDataset
 from beso.device import pick_device
-from beso.files import replacing, write_text
+from beso.files import replacing, sha256, write_text
 from beso.images import encoder, frames, probe
 from beso.images.encoder import Encoding
 from beso.images.frames import PackedPlay
@@ -31,6 +31,8 @@ SHARE = 2048  # frames that a worker encodes at a time; how many does not change
 def make_features(params: Params, environment: str) -> None:
     """Train or read the encoder, write the features of all frames, and measure what they tell.
 
+    Where policies train the encoder on (`finetune`), they get the frames themselves.
+
     The encoder, and the state of its unfinished training, wait in the scratch folder until all is done.
     """
     settings, machine = params.image(environment).features, params.machine
@@ -43,7 +45,11 @@ def make_features(params: Params, environment: str) -> None:
     for _ in map_jobs(make_encoder, [(settings, folder, params.seed, machine, waiting)], 1):
         pass
     features = encode_all(waiting, folder, machine, waiting / "features.npy")
-    dataset = PlayDataset(features, packed.actions, packed.tasks, packed.episode_ends, _meta(packed))
+    observations, meta = features, _meta(packed)
+    if settings.finetune:
+        observations = play.read_npy(folder / "frames.npy")
+        meta["finetune"] = {"frame_size": packed.meta["size"], "encoder": sha256(waiting / encoder.DESCRIPTION)}
+    dataset = PlayDataset(observations, packed.actions, packed.tasks, packed.episode_ends, meta)
     files = [waiting / encoder.WEIGHTS, waiting / encoder.DESCRIPTION]
     play.save(dataset, paths.play(environment), files)
     table = measure(params, environment, packed, features, waiting)
@@ -76,7 +82,8 @@ def make_encoder(settings: Features, folder: Path, seed: int, machine: Machine, 
         state.unlink(missing_ok=True)
         provenance = {"pretraining": dataclasses.asdict(config), "seed": seed, "curve": curve}
         provenance |= {"frames": packed.meta["sha256"]["frames"], "torch": torch.__version__}
-    encoder.save(target, network, encoding, provenance)
+    shift = settings.pretraining.shift if settings.finetune else None
+    encoder.save(target, network, encoding, provenance, shift)
 
 
 def encode_all(encoder_folder: Path, folder: Path, machine: Machine, target: Path) -> np.ndarray:

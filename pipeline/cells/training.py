@@ -58,6 +58,6 @@ def train_seed(job: TrainingJob, environment: str, data: Path, machine: Machine,
     spec = envs.spec(environment)
     dataset = play.load(data, spec)
     state = folder / "state.safetensors"
-    trained = train(job, dataset, spec, pick_device(machine.device), state, machine.save_seconds)
+    trained = train(job, dataset, spec, pick_device(machine.device), state, machine.save_seconds, data)
     checkpoint.save(folder, job, spec.sizes, trained, play.data_digest(dataset))
     state.unlink(missing_ok=True)

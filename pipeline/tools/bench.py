@@ -196,7 +196,8 @@ def _train_briefly(environment: str, job: TrainingJob) -> int:
     environment_spec = envs.spec(environment)
     dataset = play.load(paths.play(environment), environment_spec)
     with tempfile.TemporaryDirectory() as folder:
-        train(replace(job, config=few), dataset, environment_spec, torch.device("cpu"), Path(folder) / "state", 0.0)
+        arguments = (dataset, environment_spec, torch.device("cpu"), Path(folder) / "state", 0.0)
+        train(replace(job, config=few), *arguments, paths.play(environment))
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 

@@ -5,6 +5,7 @@ the demonstration's own last states for a goal, and with those of another one. A
 much with both. Validation loss does not tell: most actions follow from the state alone.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -77,10 +78,11 @@ def main(environment: str, method: str) -> None:
         job, folder = params.job(environment, method, seed), paths.models(environment, method)
         checkpoint.check(folder, job)
         policy = checkpoint.load(folder, seed, sampling, device)
+        seen = replace(dataset, observations=policy.encode(dataset.observations))
         draws = torch_generator(params.seed, "goal use", seed, device=device)
         _, held_out = job.split(len(dataset))
         shape = (spec.goal_window, policy.context, draws)
-        own, other = errors(policy.method, policy.scaling, dataset, held_out, *shape)
+        own, other = errors(policy.method, policy.scaling, seen, held_out, *shape)
         print(f"{method} seed {seed}: action error {own:.4f} with the own goal, {other:.4f} with another's")
 
 

@@ -6,8 +6,9 @@ from typing import Any
 import torch
 
 from beso.envs.calvin.simulator import CalvinEnv
-from beso.envs.protocol import Encoder, Outcome, Trial
-from beso.images.encoder import load
+from beso.envs.protocol import Encoder, Outcome, Trial, identity
+from beso.files import read_json
+from beso.images.encoder import DESCRIPTION, load
 
 
 def make(render_mode: str | None = None) -> CalvinEnv:
@@ -16,8 +17,8 @@ def make(render_mode: str | None = None) -> CalvinEnv:
 
 
 def encoder(data: Path, device: torch.device) -> Encoder:
-    """The frozen network that made the play data's features of pictures."""
-    return load(data, device)
+    """The frozen network that made the play data's features of pictures; nothing where every policy has its own."""
+    return identity if "finetune" in read_json(data / DESCRIPTION) else load(data, device)
 
 
 def score(trial: Trial, outcome: Outcome) -> dict[str, Any]:
