@@ -171,7 +171,7 @@ def test_statistics_are_those_of_training_frames_under_the_weights(join, frames,
     model, _ = join()
     model.eval()
     model.settle()
-    first = model.encoder.network.conv1(ENCODING.standardise(torch.from_numpy(frames.observations[:42])))
+    first = model.encoder.network.conv1(ENCODING.standardise(torch.from_numpy(np.array(frames.observations[:42]))))
     norm = model.encoder.network.bn1
     assert torch.allclose(norm.running_mean, first.mean(dim=(0, 2, 3)), atol=1e-5)
     assert torch.allclose(norm.running_var, first.var(dim=(0, 2, 3)), rtol=1e-4)

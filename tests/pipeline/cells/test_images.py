@@ -16,6 +16,7 @@ from beso.files import sha256
 from beso.images import encoder, frames
 from beso.images.pretraining import Pretraining
 from beso.images.resnet import ResNet18
+from beso.seeding import torch_generator
 from pipeline import params as parameters
 from pipeline import paths, profile
 from pipeline.cells.collect import collect
@@ -217,6 +218,43 @@ def test_given_weights_are_used_as_they_are(make, recorded, tmp_path):
     expected = ResNet18(8, torch.Generator().manual_seed(5)).state_dict()
     assert all(torch.equal(value, expected[name]) for name, value in made.network.state_dict().items())
     assert made.encoding.mean == (0.485, 0.456, 0.406)
+
+
+def finetuned(steps=PRETRAINING.steps, images=IMAGES):
+    pretraining = dataclasses.replace(PRETRAINING, steps=steps)
+    return dataclasses.replace(
+        images, features=dataclasses.replace(images.features, finetune=True, pretraining=pretraining)
+    )
+
+
+def test_policies_that_train_the_encoder_get_the_frames_and_its_start(make, recorded, capsys):
+    give_raw(recorded)
+    run(make())
+    frozen, table = contents(paths.play("calvin")), paths.probe("calvin").read_bytes()
+    run(make(images=finetuned()))
+    folder = paths.play("calvin")
+    ours = contents(folder)
+    assert ours["observations.npy"] == (paths.frames("calvin") / "frames.npy").read_bytes()
+    assert ours["encoder.safetensors"] == frozen["encoder.safetensors"]
+    description = json.loads(ours["encoder.json"])
+    assert {**json.loads(frozen["encoder.json"]), "finetune": True, "shift": 1} == description
+    dataset = play.load(folder, envs.spec("calvin"))
+    assert dataset.meta["finetune"] == {"frame_size": 32, "encoder": sha256(folder / "encoder.json")}
+    assert paths.probe("calvin").read_bytes() == table, "the probe tells of the start"
+    assert all(name in ours and ours[name] == frozen[name] for name in frozen if name[:-4] in ("actions", "tasks"))
+    assert list(paths.SCRATCH.iterdir()) == []
+
+
+def test_joint_training_may_start_at_random_or_given_weights(make, recorded, tmp_path):
+    give_raw(recorded)
+    run(make(images=finetuned(steps=0)))
+    random = encoder.load(paths.play("calvin"), torch.device("cpu")).network.state_dict()
+    expected = ResNet18(8, torch_generator(0, "initial encoder weights")).state_dict()
+    assert all(torch.equal(value, random[name]) for name, value in expected.items())
+    run(make(images=finetuned(images=given(tmp_path))))
+    assert json.loads((paths.play("calvin") / "encoder.json").read_text())["shift"] == 1
+    with pytest.raises(ValueError, match=r"pretraining\.steps = 0: must be at least 1 unless finetune is true"):
+        dataclasses.replace(finetuned(steps=0).features, finetune=False)
 
 
 def test_mistakes_are_one_line_and_leave_nothing(make, recorded, tmp_path):

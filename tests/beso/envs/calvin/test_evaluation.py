@@ -1,5 +1,7 @@
 """What counts as success, near misses, and a whole evaluation on pictures."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -12,11 +14,14 @@ from beso.envs.calvin import evaluation, trials
 from beso.envs.calvin.simulator.observations import DRAWER, FIXTURES, LED, SLIDE
 from beso.envs.calvin.spec import SPEC
 from beso.envs.protocol import Outcome, Trial, TrialRequest
-from beso.evaluation_config import Chunk, EvaluationConfig
+from beso.errors import UserError
+from beso.evaluation_config import Chunk, EvaluationConfig, chunks
 from beso.images import encoder as images
 from beso.images.resnet import ResNet18
+from beso.policy import Policy
 from beso.rollout import EvaluationJob, evaluate
 from beso.training import train
+from pipeline.pool import map_jobs
 
 IDLE = np.array([0, 0, 0, 0, 0, 0, 1.0])
 CPU = torch.device("cpu")
@@ -102,6 +107,52 @@ def test_rows_count_the_wanted_tasks(done, reward, expected):
 @pytest.fixture
 def spec():
     return SPEC
+
+
+@pytest.mark.parametrize("name", ["c_beso", "gcbc", "lmp", "c_bet"])
+def test_a_policy_that_was_trained_with_its_encoder_sees_frames(name, make_dataset, make_job, small_models, tmp_path):
+    states, data = make_dataset([30, 32, 34]), tmp_path / "data"
+    frames = np.random.default_rng(0).integers(256, size=(96, 32, 32, 3), dtype=np.uint8)
+    meta = {"source": "random frames", "finetune": {"frame_size": 32, "encoder": "0" * 64}}
+    play.save(dataclasses.replace(states, observations=frames, meta=meta), data)
+    encoding = images.Encoding(width=8, size=32, mean=(0.5,) * 3, std=(0.3,) * 3, precision="fp32")
+    images.save(data, ResNet18(8, torch.Generator().manual_seed(0)), encoding, {}, shift=1)
+    dataset, training = play.load(data, SPEC), make_job(name, steps=2)
+    result = train(training, dataset, SPEC, CPU, tmp_path / "state", encoder=data)
+    checkpoint.save(tmp_path / "models", training, SPEC.sizes, result, play.data_digest(dataset))
+    assert sorted(path.name for path in (tmp_path / "models").iterdir()) == ["seed1.json", "seed1.safetensors"]
+
+    (data / images.WEIGHTS).unlink()  # the model's own encoder is asked, not the one that it started from
+    goal = frames[:1]
+    request = TrialRequest("single_tasks", training.seed, range(3), 3, data, 0.7, 0)
+    stored.save({("single_tasks", training.seed): trials.make(request)}, tmp_path / "trials")
+    config = EvaluationConfig(seed=3, rollouts=3, goals=("single_tasks",), chunk=2, max_actions=4)
+    sampling = build(methods.load(name).Sampling, small_models[name][1], "sampling")
+    folders = (data, tmp_path / "trials", tmp_path / "models")
+    job = EvaluationJob("calvin", *folders, training, sampling, config, "cpu")
+    played = {workers: play_workers(job, workers) for workers in (1, 2)}
+    assert played[1] == played[2]
+    assert [row["length"] for row in played[1]] == [4, 4, 4]
+
+    # In a batch or alone, a frame has the same features; the policy is loaded without data.
+    loaded = checkpoint.load(tmp_path / "models", 1, sampling, CPU)
+    assert np.array_equal(loaded.encode(frames[:20])[7], loaded.encode(frames[7:8])[0])
+    policy = Policy.load(tmp_path / "models", 1, device="cpu")
+    policy.reset(goal)
+    action = policy.act(frames[5])
+    assert action.shape == (7,)
+    policy.reset(goal)
+    assert np.array_equal(policy.act(frames[5]), action)
+    with pytest.raises(UserError, match=r"takes uint8 frames \(B, 32, 32, 3\)"):
+        policy.act(frames[5][:31])
+
+
+def play_workers(job, workers):
+    """The rows of a job, played by so many workers."""
+    planned = chunks(job.config)
+    shares = [planned[k::workers] for k in range(workers)]
+    parts = list(map_jobs(evaluate, [(job, share) for share in shares], workers))
+    return sorted((row for part in parts for rows in part for row in rows), key=lambda row: row["episode"])
 
 
 def test_a_policy_is_evaluated_on_pictures(make_dataset, make_job, small_models, tmp_path):
