@@ -72,6 +72,7 @@ IMAGES = {
         "width": 32,
         "precision": "bf16",
         "weights": None,
+        "finetune": False,
         "pretraining": {
             "steps": 10,
             "batch_size": 4,
@@ -165,6 +166,13 @@ def room(values):
         (("features", "width"), 24, r"features: width = 24: must be one of 64, 32, 16, 8"),
         (("features", "weights"), {"path": "x"}, r"features\.weights\.sha256 is missing"),
         (("features", "pretraining", "horizon"), 0, r"pretraining: horizon = 0: must be at least 1"),
+        (
+            ("features", "pretraining", "steps"),
+            0,
+            r"features: pretraining\.steps = 0: must be at least 1 unless finetune",
+        ),
+        (("features", "pretraining", "steps"), -1, r"pretraining: steps = -1: must not be negative"),
+        (("features", "finetune"), "maybe", r"features\.finetune = 'maybe': expected true or false"),
         (("features",), None, r"features = None: expected a mapping"),
         ((), None, r"images\.\w+ = None: expected a mapping"),
     ],
