@@ -12,7 +12,7 @@ from beso.images.encoder import DESCRIPTION, load
 
 
 def make(render_mode: str | None = None) -> CalvinEnv:
-    """An environment as policies are evaluated in it; its pictures are as large as the episode's goal."""
+    """An environment as policies are evaluated in it; its observations are as large as the episode's goal."""
     return CalvinEnv(render_mode=render_mode)
 
 

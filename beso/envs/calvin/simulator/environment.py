@@ -8,6 +8,7 @@ CALVIN's files is given.
 from pathlib import Path
 from typing import Any
 
+import cv2
 import gymnasium
 import numpy as np
 
@@ -22,7 +23,7 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """Gymnasium environment `beso/Calvin-v0`.
 
     Args:
-        render_mode: None, or "rgb_array" for pictures of `render_size` pixels from `render()`.
+        render_mode: None, or "rgb_array" for pictures from `render()`.
         size: height and width of observations, pixels, in episodes without a goal.
         render_size: height and width of rendered pictures, pixels.
         assets: folder with CALVIN's own files, or None for ours.
@@ -68,7 +69,8 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             scene_obs = draw_scene(self.np_random, CLOSED_FIXTURES)
         self.table.reset(scene_obs, options.get("robot_obs"))
         goal = {"goal": options["goal"]} if "goal" in options else {}
-        self._shown = options["goal"].shape[1] if goal else self.size
+        self._goal: np.ndarray | None = options["goal"][-1] if goal else None
+        self._shown = self.size if self._goal is None else len(self._goal)
         self._start = self.table.state()
         self._wanted = np.array(options.get("tasks", np.zeros(len(tasks.NAMES))), dtype=bool)
         self._done: list[int] = []
@@ -92,8 +94,19 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         }
 
     def render(self) -> np.ndarray | None:
-        """What the static camera sees, (render_size, render_size, 3) uint8 RGB; None without a render_mode."""
-        return self.table.picture(self.render_size) if self.render_mode else None
+        """What the static camera sees, uint8 RGB (render_size, render_size, 3); None without a render_mode.
+
+        In an episode with a goal, the goal image stands left of it: (render_size, 2 * render_size, 3).
+        """
+        if self.render_mode is None:
+            return None
+        now = self.table.picture(self.render_size)
+        if self._goal is None:
+            return now
+        goal = cv2.resize(self._goal, now.shape[:2], interpolation=cv2.INTER_CUBIC)
+        for picture, title in ((goal, "goal"), (now, "now")):
+            cv2.putText(picture, title, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
+        return np.concatenate([goal, now], axis=1)
 
     def close(self) -> None:
         """Disconnect from the physics server."""

@@ -52,3 +52,21 @@ def test_rendering_needs_a_mode(env):
     assert env.render() is None
     with pytest.raises(ValueError, match="'human' is not one of"):
         CalvinEnv(render_mode="human")
+
+
+def test_a_goal_stands_beside_what_is_filmed(scene):
+    env = CalvinEnv(render_mode="rgb_array", size=48, render_size=96)
+    goal = np.full((1, 24, 24, 3), 200, dtype=np.uint8)
+    first, _ = env.reset(options={"scene_obs": scene, "goal": goal})
+    picture = env.render()
+    assert picture.shape == (96, 2 * 96, 3)
+    titles = slice(0, 24)  # rows with "goal" and "now"
+    assert (picture[24:, :96] == 200).all()
+    assert (picture[titles, :96] < 100).any()
+    now = env.table.picture(96)
+    assert np.array_equal(picture[24:, 96:], now[24:])
+    assert np.array_equal(first, env.table.picture(24)), "what policies see has neither"
+    assert (goal == 200).all()
+    env.reset(options={"scene_obs": scene})
+    assert np.array_equal(env.render(), now)
+    env.close()
