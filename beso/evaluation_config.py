@@ -15,6 +15,7 @@ class EvaluationConfig:
         goals: some of the environment's goal sets, the paper's first.
         chunk: environments stepped together.
         max_actions: longest episode, or null for the environment's own limit.
+        tasks: what trials for single tasks ask for in turn, where the environment's spec says what they may be.
     """
 
     seed: int
@@ -22,6 +23,7 @@ class EvaluationConfig:
     goals: tuple[str, ...]
     chunk: int
     max_actions: int | None
+    tasks: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         require(self.seed >= 0, f"seed = {self.seed}: must not be negative")
@@ -30,6 +32,11 @@ class EvaluationConfig:
             len(set(self.goals)) == len(self.goals) > 0, f"goals = {list(self.goals)}: must be different, at least one"
         )
         require(self.max_actions is None or self.max_actions >= 1, f"max_actions = {self.max_actions}: must be above 0")
+        tasks = self.tasks
+        require(
+            tasks is None or len(set(tasks)) == len(tasks) > 0,
+            f"tasks = {list(tasks or ())}: must be different, at least one",
+        )
 
 
 @dataclass(frozen=True)

@@ -392,6 +392,7 @@ def parse(values: Any, where: str) -> Params:
         if goals != known[: len(goals)]:
             allowed = " or ".join(str(list(known[:n])) for n in range(1, len(known) + 1))
             raise UserError(f"{where}.environments.{name}.evaluation: goals = {list(goals)}: must be {allowed}")
+        _single_tasks(name, environment.evaluation.tasks, f"{where}.environments.{name}.evaluation.tasks")
         images = envs.sees_images(name)
         if (environment.collect.to == "raw") != images:
             allowed = "raw: its policies see images" if images else "play: its policies see states"
@@ -424,6 +425,19 @@ def parse(values: Any, where: str) -> Params:
     for name, study in params.studies.items():
         _study(params, study, f"{where}.studies.{name}")
     return params
+
+
+def _single_tasks(env: str, chosen: tuple[str, ...] | None, where: str) -> None:
+    """A list of single tasks is given where the environment takes one, and has only tasks that a trial can ask for."""
+    known = envs.single_tasks(env)
+    if not known and chosen is not None:
+        raise UserError(f"{where} = {list(chosen)}: must be left out: trials of this environment are not by tasks")
+    if known and chosen is None:
+        raise UserError(f"{where} is missing: expected a list of tasks, of {', '.join(known)}")
+    for task in chosen or ():
+        if task not in known:
+            why = "no trial can ask for it alone" if task in envs.spec(env).tasks else "there is no such task"
+            raise UserError(f"{where} = {task!r}: {why}; allowed are {', '.join(known)}")
 
 
 def _sizes(collect: Collect, images: ImageParams, where: str) -> None:

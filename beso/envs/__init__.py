@@ -8,7 +8,8 @@
     <name>/evaluation.py                how these episodes are played and scored
     <name>/report.py                    what only the report must know: names, metrics, published statistics
 
-An environment that sees images has, instead of `record` and `published.py`,
+A spec may also have SINGLE_TASKS, those that a trial can ask for by itself; which of them trials ask for is then a
+parameter (`evaluation.tasks`). An environment that sees images has, instead of `record` and `published.py`,
 
     <name>/demonstrations/recording.py  record, join, convert: raw play, with frames (beso.envs.protocol.Recording)
     <name>/demonstrations/raw.py        load(folder): raw play
@@ -42,6 +43,11 @@ def names() -> list[str]:
 def spec(name: str) -> PlaySpec:
     """What training must know of one environment. Raises UserError, here and below, if there is none of that name."""
     return _part(name, "spec").SPEC
+
+
+def single_tasks(name: str) -> tuple[str, ...]:
+    """The tasks that a trial of one environment can ask for by itself; none where that is not a matter of choice."""
+    return getattr(_part(name, "spec"), "SINGLE_TASKS", ())
 
 
 def trial_maker(name: str) -> TrialMaker:

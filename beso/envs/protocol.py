@@ -76,6 +76,7 @@ class TrialRequest(NamedTuple):
         seed: root of evaluation's random numbers.
         data: the play data's folder.
         train_fraction, root_seed: what decides which demonstrations that model was trained on (beso.data.split).
+        tasks: what trials for single tasks ask for in turn, in environments whose spec has SINGLE_TASKS.
     """
 
     goals: str
@@ -85,6 +86,7 @@ class TrialRequest(NamedTuple):
     data: Path
     train_fraction: float
     root_seed: int
+    tasks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

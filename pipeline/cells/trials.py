@@ -20,6 +20,7 @@ def make_trials(params: Params, environment: str) -> None:
             data=paths.play(environment),
             train_fraction=settings.training.train_fraction,
             root_seed=params.seed,
+            tasks=settings.evaluation.tasks or (),
         )
         for seed in settings.seeds
         for chunk in chunks(settings.evaluation)

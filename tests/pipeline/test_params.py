@@ -59,6 +59,7 @@ IDDPM = {
     "context_length": None,
 }
 BLOCK_PUSH = ("environments", "block_push")
+TASKS = ("environments", "calvin", "evaluation", "tasks")
 MODEL = ("methods", "c_beso", "train", "block_push", "model", "transformer")
 SAMPLE = ("methods", "c_beso", "sample", "block_push")
 OPTIMIZATION = ("methods", "gcbc", "train", "block_push", "optimization")
@@ -124,6 +125,21 @@ def cell(env, method, of=None):
         (("profile",), "../x", r"profile = '\.\./x': must be made of"),
         ((*BLOCK_PUSH, "evaluation", "goals"), ["held_out"], r"goals = \['held_out'\]: must be \['training'\] or"),
         (("cells",), {}, r"cells = {}: at least one is needed"),
+        (
+            (*BLOCK_PUSH, "evaluation", "tasks"),
+            ["push"],
+            r"block_push\.evaluation\.tasks = .*: must be left out",
+        ),
+        (TASKS, None, r"calvin\.evaluation\.tasks is missing: expected a list of tasks, of rotate_red_block_right, "),
+        (TASKS, [], r"calvin\.evaluation: tasks = \[\]: must be different, at least one"),
+        (TASKS, ["open_drawer"] * 2, r"tasks = \['open_drawer', 'open_drawer'\]: must be different, at least one"),
+        (TASKS, ["fly"], r"tasks = 'fly': there is no such task; allowed are rotate_red_block_right, "),
+        (
+            TASKS,
+            ["lift_red_block_table"],
+            r"'lift_red_block_table': no trial can ask for it alone; allowed are ",
+        ),
+        (TASKS, "open_drawer", r"tasks = 'open_drawer': expected a list, each item text"),
         ((*OPTIMIZATION, "learning_rate"), math.nan, r"learning_rate = nan: expected a finite number"),
         (
             (*SAMPLE, "context_length"),
@@ -181,6 +197,7 @@ def test_mistakes_about_images(values, room, monkeypatch, path, value, message):
     monkeypatch.setattr(envs, "names", lambda: ["block_push", room])
     spec = envs.spec
     monkeypatch.setattr(envs, "spec", lambda name: spec("block_push"))
+    monkeypatch.setattr(envs, "single_tasks", lambda name: ())
     assert params.parse(values, "params.yaml").image(room).preprocess.size == 64
     inner = values["images"] = copy.deepcopy(values["images"])
     *parents, last = (room, *path)

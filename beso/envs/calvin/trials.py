@@ -1,12 +1,13 @@
 """Which episodes policies are evaluated on: single tasks and pairs of tasks, each from one goal image.
 
-The paper evaluates 13 "hard" single tasks and two tasks in a row, "conditioned on goal images outside the training
+The paper evaluates "hard" single tasks and two tasks in a row, "conditioned on goal images outside the training
 distribution, that did not contain the end-effector in the correct position". Those episodes were never published. Here
 a start state is drawn in which the tasks can be done, scripted skills do them, the arm goes back to its neutral pose,
 and what the camera sees then is the goal: a state that can be reached, with the side effects of reaching it.
 
-Trial i asks for task, or pair of tasks, i of a fixed list, counted round: any 13 successive single trials have each
-task once. Start, skills and so the goal depend on evaluation seed, goal set, model seed and i alone.
+Trial i asks for task i of the list in the parameters, or for pair i of a fixed list, counted round: of 13 tasks, any 13
+successive trials have each once. Start, skills and so the goal depend on evaluation seed, goal set, model seed, i and
+the tasks that trial i asks for alone.
 """
 
 import itertools
@@ -28,23 +29,6 @@ from beso.errors import UserError
 from beso.files import read_json
 from beso.seeding import generator, integer_seed
 
-# The paper does not name its 13 tasks. A lifted block must be in the gripper, so the 9 lifts cannot be "hard"; of the
-# other 25, those whose name has no colour are 13.
-SINGLE_TASKS: Final = (
-    "open_drawer",
-    "close_drawer",
-    "move_slider_left",
-    "move_slider_right",
-    "turn_on_led",
-    "turn_off_led",
-    "turn_on_lightbulb",
-    "turn_off_lightbulb",
-    "place_in_drawer",
-    "place_in_slider",
-    "push_into_drawer",
-    "stack_block",
-    "unstack_block",
-)
 # Two tasks are of different families, and start with an empty gripper.
 FAMILIES: Final = (
     ("open_drawer", "close_drawer"),
@@ -88,10 +72,10 @@ def frame_size(data: Path) -> int:
     return size
 
 
-def wanted_tasks(goals: str, number: int) -> tuple[str, ...]:
-    """What trial `number` asks for: a single task, or two."""
+def wanted_tasks(goals: str, number: int, single_tasks: tuple[str, ...]) -> tuple[str, ...]:
+    """What trial `number` asks for: one of the single tasks, or two tasks."""
     if goals == "single_tasks":
-        return (SINGLE_TASKS[number % len(SINGLE_TASKS)],)
+        return (single_tasks[number % len(single_tasks)],)
     pairs = list(itertools.combinations(FAMILIES, 2))
     turn, pair = divmod(number, len(pairs))
     first, second = pairs[pair]
@@ -101,7 +85,7 @@ def wanted_tasks(goals: str, number: int) -> tuple[str, ...]:
 
 def _trial(table: PlayTable, request: TrialRequest, number: int, size: int) -> Trial:
     rng = generator(request.seed, f"calvin trial, {request.goals}", request.model_seed, number)
-    wanted = wanted_tasks(request.goals, number)
+    wanted = wanted_tasks(request.goals, number, request.tasks)
     attempts = (attempt(table, wanted, rng, size) for _ in range(ATTEMPTS))
     made = next((made for made in attempts if made is not None), None)
     if made is None:

@@ -25,6 +25,7 @@ from pipeline.pool import map_jobs
 
 IDLE = np.array([0, 0, 0, 0, 0, 0, 1.0])
 CPU = torch.device("cpu")
+TASKS = ("open_drawer", "turn_on_led")
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +163,7 @@ def test_a_policy_is_evaluated_on_pictures(make_dataset, make_job, small_models,
     dataset, training = play.load(tmp_path / "data", SPEC), make_job("gcbc")
     result = train(training, dataset, SPEC, CPU, tmp_path / "state")
     checkpoint.save(tmp_path / "models", training, SPEC.sizes, result, play.data_digest(dataset))
-    request = TrialRequest("single_tasks", training.seed, range(2), 3, tmp_path / "data", 0.7, 0)
+    request = TrialRequest("single_tasks", training.seed, range(2), 3, tmp_path / "data", 0.7, 0, TASKS)
     stored.save({("single_tasks", training.seed): trials.make(request)}, tmp_path / "trials")
     config = EvaluationConfig(seed=3, rollouts=2, goals=("single_tasks",), chunk=2, max_actions=4)
     sampling = build(methods.load("gcbc").Sampling, small_models["gcbc"][1], "sampling")
@@ -170,6 +171,6 @@ def test_a_policy_is_evaluated_on_pictures(make_dataset, make_job, small_models,
     job = EvaluationJob("calvin", *folders, training, sampling, config, "cpu")
     (rows,) = evaluate(job, [Chunk("single_tasks", 0, 2)])
     assert [list(row.values()) for row in rows] == [
-        [training.seed, "single_tasks", i, str(SPEC.tasks.index(trials.SINGLE_TASKS[i])), "", 0, 0, 4] for i in range(2)
+        [training.seed, "single_tasks", i, str(SPEC.tasks.index(TASKS[i])), "", 0, 0, 4] for i in range(2)
     ]
     assert evaluate(job, [Chunk("single_tasks", 1, 2)]) == [rows[1:]]
