@@ -25,6 +25,7 @@ from beso.training_config import TrainingJob
 
 Row = dict[str, Any]
 Film = Callable[[np.ndarray], None]
+Witness = Callable[[Row, Outcome], None]
 
 
 @dataclass(frozen=True)
@@ -50,11 +51,14 @@ class EvaluationJob:
     device: str
 
 
-def evaluate(job: EvaluationJob, chunks: Sequence[Chunk], film: Film | None = None) -> list[list[Row]]:
+def evaluate(
+    job: EvaluationJob, chunks: Sequence[Chunk], film: Film | None = None, witness: Witness | None = None
+) -> list[list[Row]]:
     """Play the episodes of some chunks with one trained model; for each chunk, a row an episode.
 
     Args:
         film: called with every picture (H, W, 3) of each chunk's first episode.
+        witness: called with every episode's row and outcome.
 
     Raises:
         UserError: trials or models are missing or damaged, or the models are of another training.
@@ -78,18 +82,13 @@ def evaluate(job: EvaluationJob, chunks: Sequence[Chunk], film: Film | None = No
             role = f"policy noise, {chunk.goals} goals"
             noise = EpisodeNoise([generator(config.seed, role, training.seed, i) for i in numbers], device)
             outcomes = _play(chosen, environments, policy, encode, noise, device, config.max_actions, film)
-            played.append(
-                [
-                    {
-                        "seed": training.seed,
-                        "goals": chunk.goals,
-                        "episode": i,
-                        **trial.labels,
-                        **protocol.score(trial, outcome),
-                    }
-                    for i, trial, outcome in zip(numbers, chosen, outcomes, strict=True)
-                ]
-            )
+            rows = []
+            for i, trial, outcome in zip(numbers, chosen, outcomes, strict=True):
+                row = {"seed": training.seed, "goals": chunk.goals, "episode": i}
+                rows.append({**row, **trial.labels, **protocol.score(trial, outcome)})
+                if witness:
+                    witness(rows[-1], outcome)
+            played.append(rows)
     finally:
         for environment in environments:
             environment.close()
@@ -110,7 +109,7 @@ def _play(
     outcomes = []
     for trial, environment in zip(chosen, environments, strict=False):
         observation, info = environment.reset(seed=trial.seed, options=trial.options)
-        outcomes.append(Outcome(0.0, 0, observation, info, info["goal"]))
+        outcomes.append(Outcome(0.0, 0, observation, info, info["goal"], observation))
     goals = np.stack([outcome.goal for outcome in outcomes])  # (B, G, ...)
     encoded = encode(goals.reshape(-1, *goals.shape[2:]))
     agent = Agent(policy, encoded.reshape(*goals.shape[:2], *encoded.shape[1:]), device)

@@ -53,6 +53,11 @@ def episodes(environment: str, method: str) -> Path:
     return Path("results") / environment / f"{method}.csv"
 
 
+def scenes(environment: str, method: str) -> Path:
+    """Start, goal and end of some episodes of one cell, (episodes, 3, ...); see pipeline.cells.evaluation."""
+    return Path("results/scenes") / environment / f"{method}.npy"
+
+
 def study(name: str) -> Path:
     """Evaluation of one study, a row an episode and sampling."""
     return Path("results/studies") / f"{name}.csv"

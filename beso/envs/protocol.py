@@ -110,13 +110,15 @@ class Trial:
 
 @dataclass
 class Outcome:
-    """What came of a trial: the sum of rewards, the number of actions, the last raw observation and info, the goal."""
+    """What came of a trial: the sum of rewards, the number of actions, the last raw observation and info, the goal, and
+    the first raw observation."""
 
     reward: float
     length: int
     observation: np.ndarray
     info: dict[str, Any]
     goal: np.ndarray
+    start: np.ndarray
 
 
 class Evaluation(Protocol):

@@ -1,12 +1,16 @@
 """Evaluation of one cell, and of the samplings of a study: chunks of episodes over worker processes."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from beso.evaluation_config import chunks
-from beso.files import write_text
+from beso.data.play import write_npy
+from beso.envs.protocol import Outcome
+from beso.evaluation_config import Chunk, chunks
+from beso.files import replacing, write_text
 from beso.rollout import EvaluationJob, Row, evaluate
 from pipeline import paths
 from pipeline.params import Params
@@ -14,9 +18,16 @@ from pipeline.pool import available_workers, map_jobs
 
 
 def evaluate_cell(params: Params, environment: str, method: str) -> None:
-    """Play all episodes of one cell and write their rows."""
+    """Play all episodes of one cell; write their rows, and scenes of the first model's first episodes, one a task.
+
+    A scene is the first raw observation, the goal and the last raw observation. Where there is no list of single tasks
+    there are none, and the array is empty.
+    """
     jobs = evaluation_jobs(params, environment, method, params.sampling(environment, method))
-    rows = play_all(params, jobs, f"evaluate {environment} {method}")
+    tasks = params.environments[environment].evaluation.tasks or ()
+    rows, scenes = play_all(params, jobs, f"evaluate {environment} {method}", scenes=len(tasks))
+    with replacing(paths.scenes(environment, method)) as temporary:
+        write_npy(temporary, np.array(scenes))
     write_text(paths.episodes(environment, method), pd.DataFrame(rows).to_csv(index=False))
 
 
@@ -34,7 +45,7 @@ def run_study(params: Params, name: str) -> None:
             config = replace(job.config, goals=job.config.goals[:1], rollouts=study.rollouts)
             jobs.append(replace(job, config=config))
             changes.append(changed)
-    rows = play_all(params, jobs, f"study {name}", changes)
+    rows, _ = play_all(params, jobs, f"study {name}", changes)
     write_text(paths.study(name), pd.DataFrame(rows).to_csv(index=False))
 
 
@@ -57,15 +68,20 @@ def evaluation_jobs(params: Params, environment: str, method: str, sampling: Any
 
 
 def play_all(
-    params: Params, jobs: list[EvaluationJob], description: str, labels: list[dict[str, Any]] | None = None
-) -> list[Row]:
-    """The rows of all episodes of some jobs, in order.
+    params: Params,
+    jobs: list[EvaluationJob],
+    description: str,
+    labels: list[dict[str, Any]] | None = None,
+    scenes: int = 0,
+) -> tuple[list[Row], list[np.ndarray]]:
+    """The rows of all episodes of some jobs, in order; and some scenes (3, ...) of the first job.
 
     A worker plays every n-th chunk of a job, so that it loads policy and environments once; n is chosen so that all
     workers have work.
 
     Args:
         labels: columns in front of each job's rows.
+        scenes: how many, of the first episodes with the first goal set.
     """
     workers = params.machine.workers or available_workers()
     shares = -(-workers // len(jobs))
@@ -73,9 +89,24 @@ def play_all(
     for i, job in enumerate(jobs):
         planned = chunks(job.config)
         parts += [(i, job, planned[k::shares], k) for k in range(min(shares, len(planned)))]
-    played = map_jobs(evaluate, [(job, share) for _, job, share, _ in parts], workers, description)
+    shares_played = map_jobs(
+        _play, [(job, share, 0 if i else scenes) for i, job, share, _ in parts], workers, description
+    )
     by_chunk: dict[tuple[int, int], list[Row]] = {}
-    for (i, _, _, first), found in zip(parts, played, strict=True):
+    seen: dict[int, np.ndarray] = {}
+    for (i, _, _, first), (found, seen_there) in zip(parts, shares_played, strict=True):
+        seen |= seen_there
         for n, rows in enumerate(found):
             by_chunk[i, first + n * shares] = [{**labels[i], **row} for row in rows] if labels else rows
-    return [row for key in sorted(by_chunk) for row in by_chunk[key]]
+    return [row for key in sorted(by_chunk) for row in by_chunk[key]], [seen[number] for number in sorted(seen)]
+
+
+def _play(job: EvaluationJob, share: Sequence[Chunk], scenes: int) -> tuple[list[list[Row]], dict[int, np.ndarray]]:
+    """A worker's share: rows by chunk, and scenes by number of the episode."""
+    seen: dict[int, np.ndarray] = {}
+
+    def note(row: Row, outcome: Outcome) -> None:
+        if row["goals"] == job.config.goals[0] and row["episode"] < scenes:
+            seen[row["episode"]] = np.stack([outcome.start, outcome.goal[-1], outcome.observation])
+
+    return evaluate(job, share, witness=note), seen

@@ -3,6 +3,7 @@
 import io
 import itertools
 import math
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,14 +15,15 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from beso import envs
+from beso.data.play import read_npy
 from beso.envs.figures import COLOURS as METHOD_COLOURS
 from beso.envs.figures import panels
-from beso.envs.protocol import Drawing
+from beso.envs.protocol import Drawing, Episodes
 from beso.files import replacing, write_json
 from pipeline import paths
 from pipeline.params import Params
 from pipeline.report import studies
-from pipeline.report.comparison import of_cells
+from pipeline.report.comparison import of_cells, rows_of
 from pipeline.report.names import Names
 
 BLUE, ORANGE, GREEN, _, RED, LIGHT_BLUE = METHOD_COLOURS[:6]
@@ -80,6 +82,8 @@ def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
         caption = f"{title}: held-out loss over its first measurement, a line a seed."
         yield Drawing(f"training_{name}", caption, training_curves(params, names, name))
         if name in params.images:
+            if drawn := goals(params, names, name, values["episodes"][name]):
+                yield drawn
             yield Drawing(f"samples_{name}", f"{title}: frames of the play data.", samples(paths.samples(name)))
             caption = f"{title}: what a linear probe reads off features of held-out frames; black, a constant answer."
             yield Drawing(f"probe_{name}", caption, probe(pd.read_csv(paths.probe(name))))
@@ -197,6 +201,49 @@ def samples(path: Path) -> Figure:
     axis.imshow(picture)
     axis.set_axis_off()
     return figure
+
+
+def goals(params: Params, names: Names, environment: str, episodes: Episodes) -> Drawing | None:
+    """Where an episode of each single task starts, its goal image, and what the filmed methods left, a row an episode.
+
+    None where there is no list of single tasks or no method is filmed.
+
+    Args:
+        episodes: rows of evaluation by the methods' labels.
+    """
+    settings = params.environments[environment]
+    methods = [cell.method for cell in params.films.values() if cell.env == environment]
+    if not methods or not settings.evaluation.tasks:
+        return None
+    seed, goal_set, metric = settings.seeds[0], settings.evaluation.goals[0], envs.report(environment).METRICS[0]
+    labels = [names.methods[method] for method in methods]
+    wanted = {"seed": seed, "goals": goal_set}
+    played = {label: rows_of(episodes[label], wanted).set_index("episode") for label in labels}
+    scenes = [read_npy(paths.scenes(environment, method)) for method in methods]  # each (episodes, 3, H, W, 3)
+    count = len(scenes[0])
+    figure = Figure(figsize=(7, 0.3 + (6.1 / (2 + len(methods)) + 0.17) * count))
+    figure.set_layout_engine("constrained", w_pad=0.02, h_pad=0.01, wspace=0, hspace=0)
+    grid = figure.subplots(count, 2 + len(methods), squeeze=False)
+    for axis, title in zip(grid[0], ("start", "goal", *labels), strict=True):
+        axis.set_title(title)
+    for axis in grid.flat:
+        axis.set(xticks=[], yticks=[])
+        axis.spines[:].set_visible(False)
+    for i, line in enumerate(grid):
+        for axis, picture in zip(line, (*scenes[0][i, :2], *(ends[i, 2] for ends in scenes)), strict=True):
+            axis.imshow(picture)
+        for axis, label in zip(line[2:], labels, strict=True):
+            row = played[label].loc[i]
+            axis.set_xlabel(f"{metric.label.lower()} {row[metric.name]:g}, {row['length']} actions", fontsize=6)
+            if row[metric.name] == metric.maximum:
+                axis.spines[:].set(visible=True, color=GREEN, linewidth=2)
+        task = settings.evaluation.tasks[i].replace("_", " ")
+        line[0].set_ylabel(textwrap.fill(task, 11), rotation=0, ha="right", va="center")
+    caption = (
+        f"{names.environments[environment]}, an episode of each single task: its start, its goal image, and the last"
+        f" picture of the rollouts of {', '.join(labels)} (model seed {seed}); green frames: {metric.label.lower()}."
+    )
+    return Drawing(f"goals_{environment}", caption, figure)
 
 
 def probe(table: pd.DataFrame) -> Figure:

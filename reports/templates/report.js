@@ -45,6 +45,7 @@ for (const image of document.querySelectorAll(".plot img")) {
     large.src = image.src;
     large.alt = image.alt;
     dialog.classList.toggle("close-up", image.naturalWidth > 2 * innerWidth); // on a phone, at once
+    dialog.classList.toggle("photo", image.matches(".photo img")); // keeps its colours in the dark
     dialog.showModal();
   };
   image.addEventListener("click", open);

@@ -169,6 +169,17 @@ def test_page_is_whole_and_needs_nothing_else(finished):
     assert len(text) < 15e6
 
 
+def test_goal_images_stand_beside_the_rollouts_ends(finished):
+    scenes = np.load(finished.folder / "results/scenes/calvin/c_beso.npy")  # (episodes, start, goal and end, H, W, 3)
+    goals = np.load(finished.folder / "data/trials/calvin/goal.npy")
+    assert np.array_equal(scenes[:, 1], goals[: len(scenes), 0])
+    assert scenes.shape == (2, 3, 48, 48, 3)
+    assert (scenes[:, 0] != scenes[:, 2]).any(axis=(1, 2, 3)).all(), "something moved"
+    page = (finished.folder / "reports/report.html").read_text()
+    assert page.count('<figure class="plot photo">') == 1
+    assert "CALVIN, an episode of each single task: its start, its goal image" in page
+
+
 def test_latency_is_measured_for_every_method_at_the_papers_size(finished):
     table = pd.read_csv(finished.folder / "results/latency.csv")
     assert set(zip(table["method"], table["batch"], strict=True)) == {

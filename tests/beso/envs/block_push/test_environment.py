@@ -138,7 +138,7 @@ def test_reset_answers_with_the_fitting_goal(env):
 
 def result(info, wanted):
     trial = Trial(seed=0, options={}, tasks=wanted, limit=1, labels={})
-    return evaluation.score(trial, Outcome(0.0, 1, np.zeros(16), info, np.zeros((1, 16))))["result"]
+    return evaluation.score(trial, Outcome(0.0, 1, np.zeros(16), info, np.zeros((1, 16)), np.zeros(16)))["result"]
 
 
 def test_result_counts_the_goals_pairs_in_any_order():
@@ -157,7 +157,7 @@ def test_distance_is_the_mean_of_the_blocks_from_their_places():
     observation, goal = np.zeros(16), np.zeros((1, 16))
     observation[0], observation[4] = 0.3, 0.1
     trial = Trial(seed=0, options={}, tasks=(), limit=1, labels={})
-    row = evaluation.score(trial, Outcome(0.49, 7, observation, {"tasks": (1, 2)}, goal))
+    row = evaluation.score(trial, Outcome(0.49, 7, observation, {"tasks": (1, 2)}, goal, np.zeros(16)))
     assert row == {"tasks": "1 2", "reward": 0.49, "result": 0, "length": 7, "goal_distance": 0.2}
 
 

@@ -99,7 +99,7 @@ def test_without_wanted_tasks_an_episode_goes_on(environment, scene):
 )
 def test_rows_count_the_wanted_tasks(done, reward, expected):
     trial = Trial(seed=0, options={}, tasks=(14, 31), limit=300, labels={})
-    outcome = Outcome(reward, 120, np.zeros((2, 2, 3)), {"tasks": done}, np.zeros((1, 2, 2, 3)))
+    outcome = Outcome(reward, 120, np.zeros((2, 2, 3)), {"tasks": done}, np.zeros((1, 2, 2, 3)), np.zeros((2, 2, 3)))
     assert evaluation.score(trial, outcome) == dict(
         zip(("tasks", "success", "completed", "length"), (*expected, 120), strict=True)
     )
@@ -156,7 +156,7 @@ def play_workers(job, workers):
     return sorted((row for part in parts for rows in part for row in rows), key=lambda row: row["episode"])
 
 
-def test_a_policy_is_evaluated_on_pictures(make_dataset, make_job, small_models, tmp_path):
+def test_a_policy_is_evaluated_on_pictures(environment, make_dataset, make_job, small_models, tmp_path):
     play.save(make_dataset([30, 32, 34]), tmp_path / "data")
     encoding = images.Encoding(width=8, size=32, mean=(0.5,) * 3, std=(0.3,) * 3, precision="fp32")
     images.save(tmp_path / "data", ResNet18(8, torch.Generator().manual_seed(0)), encoding, {})
@@ -173,4 +173,13 @@ def test_a_policy_is_evaluated_on_pictures(make_dataset, make_job, small_models,
     assert [list(row.values()) for row in rows] == [
         [training.seed, "single_tasks", i, str(SPEC.tasks.index(TASKS[i])), "", 0, 0, 4] for i in range(2)
     ]
-    assert evaluate(job, [Chunk("single_tasks", 1, 2)]) == [rows[1:]]
+    seen = []
+    assert evaluate(job, [Chunk("single_tasks", 1, 2)], witness=lambda *what: seen.append(what)) == [rows[1:]]
+    ((row, outcome),) = seen
+    trial = stored.load(tmp_path / "trials")["single_tasks", training.seed][1]
+    assert row == rows[1]
+    assert np.array_equal(outcome.goal, trial.options["goal"])
+    environment.reset(seed=trial.seed, options=trial.options)
+    assert np.array_equal(outcome.start, environment.table.picture(32))
+    assert outcome.observation.shape == outcome.start.shape
+    assert not np.array_equal(outcome.observation, outcome.start)

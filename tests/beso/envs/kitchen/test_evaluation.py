@@ -29,5 +29,5 @@ def test_trials_have_the_last_two_states_of_their_demonstration(tmp_path):
 
 def test_reward_counts_all_tasks_and_result_the_goals():
     trial = Trial(seed=0, options={}, tasks=(0, 1, 4, 5), limit=279, labels={})
-    outcome = Outcome(3.0, 279, np.zeros(30), {"tasks": (5, 2, 0)}, np.zeros((2, 30)))
+    outcome = Outcome(3.0, 279, np.zeros(30), {"tasks": (5, 2, 0)}, np.zeros((2, 30)), np.zeros(30))
     assert evaluation.score(trial, outcome) == {"tasks": "5 2 0", "reward": 3.0, "result": 2, "length": 279}
