@@ -125,7 +125,7 @@ def test_a_policy_that_was_trained_with_its_encoder_sees_frames(name, make_datas
 
     (data / images.WEIGHTS).unlink()  # the model's own encoder is asked, not the one that it started from
     goal = frames[:1]
-    request = TrialRequest("single_tasks", training.seed, range(3), 3, data, 0.7, 0)
+    request = TrialRequest("single_tasks", training.seed, range(3), 3, data, 0.7, 0, TASKS)
     stored.save({("single_tasks", training.seed): trials.make(request)}, tmp_path / "trials")
     config = EvaluationConfig(seed=3, rollouts=3, goals=("single_tasks",), chunk=2, max_actions=4)
     sampling = build(methods.load(name).Sampling, small_models[name][1], "sampling")
