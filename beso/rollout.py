@@ -7,7 +7,7 @@ never changes a number.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from beso import checkpoint, envs, trials
 from beso.device import pick_device
-from beso.envs.protocol import Encoder, Outcome, Trial
+from beso.envs.protocol import Outcome, Trial
 from beso.evaluation_config import Chunk, EvaluationConfig
 from beso.noise import EpisodeNoise
 from beso.policy import Agent
@@ -68,7 +68,8 @@ def evaluate(
     all_trials = trials.load(job.trials)
     checkpoint.check(job.models, training)
     policy = checkpoint.load(job.models, training.seed, job.sampling, device)
-    encode = protocol.encoder(job.data, device)
+    frozen, own = protocol.encoder(job.data, device), policy.encode  # one of them, or both, leave observations alone
+    policy = replace(policy, encode=lambda observations: own(frozen(observations)))
     # Made once: an episode depends on its reset alone.
     environments = [protocol.make() for _ in range(max(chunk.last - chunk.first for chunk in chunks))]
     if film:
@@ -81,7 +82,7 @@ def evaluate(
             chosen = trials.pick(all_trials, chunk.goals, training.seed, numbers)
             role = f"policy noise, {chunk.goals} goals"
             noise = EpisodeNoise([generator(config.seed, role, training.seed, i) for i in numbers], device)
-            outcomes = _play(chosen, environments, policy, encode, noise, device, config.max_actions, film)
+            outcomes = _play(chosen, environments, policy, noise, device, config.max_actions, film)
             rows = []
             for i, trial, outcome in zip(numbers, chosen, outcomes, strict=True):
                 row = {"seed": training.seed, "goals": chunk.goals, "episode": i}
@@ -99,25 +100,22 @@ def _play(
     chosen: list[Trial],
     environments: list[gymnasium.Env],
     policy: checkpoint.Loaded,
-    encode: Encoder,
     noise: EpisodeNoise,
     device: Any,
     max_actions: int | None,
     film: Film | None,
 ) -> list[Outcome]:
-    """Play the chosen trials side by side: reset, encode, act, step, until all have ended."""
+    """Play the chosen trials side by side: reset, act, step, until all have ended."""
     outcomes = []
     for trial, environment in zip(chosen, environments, strict=False):
         observation, info = environment.reset(seed=trial.seed, options=trial.options)
         outcomes.append(Outcome(0.0, 0, observation, info, info["goal"], observation))
-    goals = np.stack([outcome.goal for outcome in outcomes])  # (B, G, ...)
-    encoded = encode(goals.reshape(-1, *goals.shape[2:]))
-    agent = Agent(policy, encoded.reshape(*goals.shape[:2], *encoded.shape[1:]), device)
+    agent = Agent(policy, np.stack([outcome.goal for outcome in outcomes]), device)
     limits = [min(trial.limit, max_actions or trial.limit) for trial in chosen]
     _show(film, environments[0])
     running = np.arange(len(chosen))
     while len(running):
-        actions = agent.act(encode(np.stack([outcomes[i].observation for i in running])), noise)
+        actions = agent.act(np.stack([outcomes[i].observation for i in running]), noise)
         ended = np.zeros(len(running), dtype=bool)
         for position, index in enumerate(running):
             outcome = outcomes[index]

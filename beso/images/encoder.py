@@ -53,6 +53,20 @@ class Encoding:
         return ((frames - mean) / std).permute(0, 3, 1, 2)
 
 
+def shifted(frames: np.ndarray, corners: np.ndarray, shift: int) -> np.ndarray:
+    """Frames (B, H, W, 3) moved by up to `shift` pixels, their borders repeated.
+
+    Args:
+        corners: (B, 2) row and column, 0 to 2 * shift, at which the frame is cut from the padded one.
+    """
+    if shift == 0:
+        return frames
+    padded = np.pad(frames, ((0, 0), (shift, shift), (shift, shift), (0, 0)), mode="edge")
+    height, width = frames.shape[1:3]
+    cut = [frame[y : y + height, x : x + width] for frame, (y, x) in zip(padded, corners, strict=True)]
+    return np.stack(cut)
+
+
 class FrameEncoder:
     """Maps frames to features on one device. A frame's features depend on that frame alone, to the last bit."""
 

@@ -27,7 +27,7 @@ from torch.nn import functional
 from beso.errors import UserError
 from beso.files import read_json
 from beso.images import encoder
-from beso.images.encoder import DESCRIPTION, Encoding
+from beso.images.encoder import DESCRIPTION, Encoding, shifted
 from beso.images.resnet import FEATURES, ResNet18
 
 if TYPE_CHECKING:
@@ -120,8 +120,9 @@ class Finetuned(nn.Module):
         return torch.cat(features).index_select(0, places).unflatten(0, steps.shape)
 
     def _features(self, steps: Tensor, shifts: Tensor) -> Tensor:
-        frames = torch.from_numpy(self._read(steps.cpu().numpy())).to(steps.device)
-        pictures = self.encoding.standardise(shifted(frames, shifts))
+        corners = (self.shift + shifts).cpu().numpy()
+        frames = shifted(self._read(steps.cpu().numpy()), corners, self.shift)
+        pictures = self.encoding.standardise(torch.from_numpy(frames).to(steps.device))
         # Weights are cast anew each time: those cast without gradients must not serve where there are some.
         enabled = self.encoding.precision == "bf16"
         with torch.autocast(steps.device.type, torch.bfloat16, enabled=enabled, cache_enabled=False):
@@ -139,16 +140,6 @@ class Finetuned(nn.Module):
             self._features(part, part.new_zeros(len(part), 2))
         for norm in self._norms:
             norm.eval()
-
-
-def shifted(frames: Tensor, shifts: Tensor) -> Tensor:
-    """Frames (M, H, W, 3), each moved by its (rows, columns) of (M, 2); what enters repeats the border."""
-    size = torch.arange(frames.shape[1], device=frames.device), torch.arange(frames.shape[2], device=frames.device)
-    rows, columns = (
-        (axis + by[:, None]).clamp(0, len(axis) - 1) for axis, by in zip(size, shifts.unbind(1), strict=True)
-    )
-    number = torch.arange(len(frames), device=frames.device)
-    return frames[number[:, None, None], rows[:, :, None], columns[:, None, :]]
 
 
 def join(policy: Any, folder: Path, dataset: PlayDataset, episodes: np.ndarray) -> Finetuned:

@@ -26,7 +26,7 @@ from tqdm import trange
 
 from beso.config import require, require_positive
 from beso.errors import UserError
-from beso.images.encoder import Encoding
+from beso.images.encoder import Encoding, shifted
 from beso.images.frames import PackedPlay, resize
 from beso.images.resnet import FEATURES, ResNet18
 from beso.loop_state import LoopState
@@ -152,20 +152,6 @@ class Pairs:
 def small_pictures(frames: np.ndarray) -> np.ndarray:
     """(B, H, W, 3) uint8 RGB -> (B, 28, 28, 3) in opponent colours, grey levels."""
     return resize(frames, GRID) @ OPPONENT_COLOURS.T
-
-
-def shifted(frames: np.ndarray, corners: np.ndarray, shift: int) -> np.ndarray:
-    """Frames (B, H, W, 3) moved by up to `shift` pixels, their borders repeated.
-
-    Args:
-        corners: (B, 2) row and column, 0 to 2 * shift, at which the frame is cut from the padded one.
-    """
-    if shift == 0:
-        return frames
-    padded = np.pad(frames, ((0, 0), (shift, shift), (shift, shift), (0, 0)), mode="edge")
-    height, width = frames.shape[1:3]
-    cut = [frame[y : y + height, x : x + width] for frame, (y, x) in zip(padded, corners, strict=True)]
-    return np.stack(cut)
 
 
 def pretrain(

@@ -19,7 +19,7 @@ from beso.data.windows import Windows
 from beso.envs.calvin.spec import SPEC
 from beso.errors import UserError
 from beso.images import encoder, finetuned
-from beso.images.pretraining import shifted as shifted_arrays
+from beso.images.encoder import shifted
 from beso.images.resnet import ResNet18
 from beso.seeding import torch_generator
 
@@ -112,13 +112,6 @@ def test_windows_name_the_frames_of_their_steps(join):
     assert batch.observations.dtype == torch.long
 
 
-def test_shifts_are_those_of_pretraining(frames):
-    some = np.array(frames.observations[:5])
-    corners = np.random.default_rng(1).integers(0, 5, size=(5, 2))
-    expected = shifted_arrays(some, corners, 2)
-    assert np.array_equal(finetuned.shifted(torch.from_numpy(some), torch.from_numpy(corners) - 2).numpy(), expected)
-
-
 @pytest.mark.parametrize("name", METHODS)
 def test_gradients_reach_every_weight_of_the_encoder(join, name):
     model, windows = join(name)
@@ -137,8 +130,9 @@ def test_a_batch_is_encoded_once_a_picture_with_its_samples_shift(join, frames):
     (pictures,) = seen
     assert len(pictures) == 4 * window
     shifts = torch.randint(-2, 3, (4, 2), generator=generator(7)).repeat_interleave(window, dim=0)
-    read = torch.from_numpy(frames.observations[batch.observations.flatten().numpy()])
-    assert torch.equal(pictures, ENCODING.standardise(finetuned.shifted(read, shifts)))
+    read = frames.observations[batch.observations.flatten().numpy()]
+    moved = torch.from_numpy(shifted(read, (shifts + 2).numpy(), 2))
+    assert torch.equal(pictures, ENCODING.standardise(moved))
 
 
 def test_features_are_normalised_and_in_the_order_of_the_steps(join, frames):

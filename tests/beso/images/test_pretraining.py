@@ -8,8 +8,8 @@ import torch
 from beso.data.play import write_npy
 from beso.errors import UserError
 from beso.images import frames, pretraining
-from beso.images.encoder import Encoding
-from beso.images.pretraining import Pairs, Pretraining, pretrain, shifted
+from beso.images.encoder import Encoding, shifted
+from beso.images.pretraining import Pairs, Pretraining, pretrain
 from beso.seeding import torch_generator
 
 CPU = torch.device("cpu")
