@@ -10,7 +10,7 @@ from beso.envs.calvin.demonstrations.block_skills import drop_in_mid_air
 from beso.envs.calvin.demonstrations.grasps import find_grasp
 from beso.envs.calvin.demonstrations.hand import YAW, Hand, Manner, Motion
 from beso.envs.calvin.demonstrations.layout import LOST, ON_TABLE, place_of
-from beso.envs.calvin.demonstrations.placing_skills import carry_clear
+from beso.envs.calvin.demonstrations.placing_skills import carry_clear, neutral
 from beso.envs.calvin.demonstrations.repertoire import Skill, with_block, with_free_hand
 from beso.envs.calvin.simulator.observations import BLOCKS, FIXTURES, SLIDE, block_slice
 from beso.envs.calvin.simulator.play_table import PlayTable
@@ -18,7 +18,9 @@ from beso.envs.calvin.simulator.spawn import draw_fixtures, draw_scene
 from beso.envs.calvin.simulator.state import ROBOT
 from beso.envs.calvin.simulator.table import SLIDE_TRAVEL
 
-DETOUR_SHARE, PAUSE_SHARE = 0.2, 0.15  # of the gaps between skills
+# Of the gaps between skills. A policy is started from the neutral pose and has the arm there in its goal image; it has
+# to have seen play come and go there. Wandering says nothing about goals, and confuses policies (docs/fidelity.md).
+REST_SHARE, DETOUR_SHARE, PAUSE_SHARE = 0.7, 0.05, 0.1
 DETOUR_LOW, DETOUR_HIGH = np.array([-0.15, -0.32, 0.58]), np.array([0.25, -0.15, 0.68])  # tcp, metres
 BALANCE = 2.0  # a family played once more than another is this many times less likely to come next
 SHARES = {"push": 3.0, "rotate": 2.0}  # of families; these have six tasks each, and blocks can seldom be pushed
@@ -48,6 +50,7 @@ class Player:
         self.table, self.rng = table, rng
         self.hand = Hand(table, rng)
         self._held: int | None = None
+        self._rested = True  # the arm starts at its neutral pose
         self._families: Counter[str] = Counter()
         self._variants: Counter[str] = Counter()
         self._last: tuple[str, str] = ("", "")  # family and variant chosen last
@@ -61,6 +64,9 @@ class Player:
             self._families[family] += FAILURE
             self._variants[variant] += FAILURE
             return Segment("recover", drop_in_mid_air(self.hand))
+        if self._held is None and not self._rested and self.rng.random() < REST_SHARE:
+            self._rested = True
+            return Segment("rest", neutral(self.hand))
         if self.rng.random() < DETOUR_SHARE:
             return Segment("detour", self._detour())
         if self.rng.random() < PAUSE_SHARE:
@@ -70,7 +76,7 @@ class Player:
             self._held = None
             return Segment("recover", drop_in_mid_air(self.hand))
         skill = self._choose(skills)
-        self._held = skill.held
+        self._held, self._rested = skill.held, False
         return Segment(skill.family, skill.motion(self.hand))
 
     def _possible(self) -> list[Skill]:
