@@ -31,10 +31,14 @@ class Machine:
     workers: int
     device: Literal["auto", "cpu", "cuda"]
     save_seconds: float
+    engine: Literal["processes", "ray"]
+    ray_address: str
 
     def __post_init__(self) -> None:
         require(self.workers >= 0, f"workers = {self.workers}: must be 0 (one a processor) or more")
         require(self.save_seconds >= 0, f"save_seconds = {self.save_seconds}: must not be negative")
+        # auto would be decided on each node, and the nodes' results might differ.
+        require(self.engine != "ray" or self.device == "cpu", f"device = {self.device}: engine ray needs cpu")
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ from pathlib import Path
 from beso import envs
 from beso.data import play
 from pipeline import paths, scratch
+from pipeline.engine import map_jobs
 from pipeline.params import Params
-from pipeline.pool import available_workers, map_jobs
+from pipeline.pool import available_workers
 
 
 def collect(params: Params, environment: str) -> None:
@@ -29,8 +30,7 @@ def collect_play(params: Params, environment: str) -> None:
         dataset = envs.importer(environment)(Path(settings.folder or ""))
     else:
         jobs = [(params.seed, i) for i in range(settings.demonstrations)]
-        workers = params.machine.workers
-        episodes = list(map_jobs(envs.recorder(environment), jobs, workers, f"collect {environment}"))
+        episodes = list(map_jobs(envs.recorder(environment), jobs, params.machine, f"collect {environment}"))
         versions = {name: importlib.metadata.version(name) for name in spec.packages}
         meta = {"source": "scripted", "seed": params.seed, "versions": versions}
         if failed := sum(episode.failed_takes for episode in episodes):
@@ -55,7 +55,7 @@ def collect_raw(params: Params, environment: str) -> None:
     while steps < wanted:  # an episode may end early; then there are more of them
         new = range(len(parts), len(parts) + math.ceil((wanted - steps) / length))
         jobs = [(params.seed, i, length, size, waiting / f"episode{i}") for i in new]
-        steps += sum(map_jobs(room.record, jobs, params.machine.workers, f"collect {environment}"))
+        steps += sum(map_jobs(room.record, jobs, params.machine, f"collect {environment}"))
         parts += [job[-1] for job in jobs]
     room.join(parts, target, params.seed)
     shutil.rmtree(waiting)

@@ -13,8 +13,8 @@ from beso.evaluation_config import Chunk, chunks
 from beso.files import replacing, write_text
 from beso.rollout import EvaluationJob, Row, evaluate
 from pipeline import paths
+from pipeline.engine import map_jobs, workers
 from pipeline.params import Params
-from pipeline.pool import available_workers, map_jobs
 
 
 def evaluate_cell(params: Params, environment: str, method: str) -> None:
@@ -83,15 +83,13 @@ def play_all(
         labels: columns in front of each job's rows.
         scenes: how many, of the first episodes with the first goal set.
     """
-    workers = params.machine.workers or available_workers()
-    shares = -(-workers // len(jobs))
+    shares = -(-workers(params.machine) // len(jobs))
     parts = []
     for i, job in enumerate(jobs):
         planned = chunks(job.config)
         parts += [(i, job, planned[k::shares], k) for k in range(min(shares, len(planned)))]
-    shares_played = map_jobs(
-        _play, [(job, share, 0 if i else scenes) for i, job, share, _ in parts], workers, description
-    )
+    planned_shares = [(job, share, 0 if i else scenes) for i, job, share, _ in parts]
+    shares_played = map_jobs(_play, planned_shares, params.machine, description)
     by_chunk: dict[tuple[int, int], list[Row]] = {}
     seen: dict[int, np.ndarray] = {}
     for (i, _, _, first), (found, seen_there) in zip(parts, shares_played, strict=True):

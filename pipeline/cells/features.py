@@ -21,9 +21,9 @@ from beso.images.pretraining import pretrain
 from beso.images.resnet import FEATURES, ResNet18
 from beso.images.weights import read_weights
 from beso.seeding import torch_generator
-from pipeline import paths, scratch
+from pipeline import paths, pool, scratch
+from pipeline.engine import map_jobs
 from pipeline.params import Features, Machine, Params
-from pipeline.pool import map_jobs
 
 SHARE = 2048  # frames that a worker encodes at a time; how many does not change a number
 
@@ -42,7 +42,7 @@ def make_features(params: Params, environment: str) -> None:
     waiting = scratch.folder("features", dataclasses.asdict(settings), params.seed, packed.meta["sha256"], device)
     waiting.mkdir(parents=True, exist_ok=True)
     # One worker is this process with a single thread: more threads would add up in another order.
-    for _ in map_jobs(make_encoder, [(settings, folder, params.seed, machine, waiting)], 1):
+    for _ in pool.map_jobs(make_encoder, [(settings, folder, params.seed, machine, waiting)], 1):
         pass
     features = encode_all(waiting, folder, machine, waiting / "features.npy")
     observations, meta = features, _meta(packed)
@@ -96,7 +96,7 @@ def encode_all(encoder_folder: Path, folder: Path, machine: Machine, target: Pat
         (encoder_folder, folder, start, min(start + SHARE, steps), machine.device) for start in range(0, steps, SHARE)
     ]
     on_gpu = pick_device(machine.device).type != "cpu"  # which one process keeps busy; many would fill its memory
-    parts = map_jobs(encode_share, jobs, 1 if on_gpu else machine.workers, "features")
+    parts = map_jobs(encode_share, jobs, dataclasses.replace(machine, workers=1) if on_gpu else machine, "features")
     with replacing(target) as temporary:
         play.write_npy_parts(temporary, (steps, FEATURES), np.float32, parts)
     return play.read_npy(target)

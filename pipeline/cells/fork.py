@@ -15,8 +15,8 @@ from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.noise import BatchNoise
 from beso.seeding import integer_seed, torch_generator
+from pipeline.engine import map_jobs
 from pipeline.params import ForkMethod, Params
-from pipeline.pool import map_jobs
 
 SIZES = Sizes(observation=2, action=2, goal_window=1)
 # Were their spread sigma_data, BESO's preconditioning alone would be the best linear answer, and a short training would
@@ -69,7 +69,7 @@ def measure(params: Params) -> pd.DataFrame:
     """Columns method, x, y: actions of the demonstrations (method "data") and of every method of params' fork."""
     fork = params.fork
     jobs = [(name, settings, params.seed, fork.updates, fork.samples) for name, settings in fork.methods.items()]
-    found = map_jobs(samples, jobs, params.machine.workers, "fork")
+    found = map_jobs(samples, jobs, params.machine, "fork")
     data = demonstrations(fork.samples, torch_generator(params.seed, "fork", 2)).actions[:, 0]
     parts = {"data": data, **dict(zip(fork.methods, found, strict=True))}
     return pd.concat(

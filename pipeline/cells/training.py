@@ -13,8 +13,8 @@ from beso.files import replacing, write_text
 from beso.training import train
 from beso.training_config import TrainingJob
 from pipeline import paths, scratch
+from pipeline.engine import map_jobs
 from pipeline.params import Machine, Params
-from pipeline.pool import map_jobs
 
 
 def train_cell(params: Params, environment: str, method: str) -> None:
@@ -29,7 +29,7 @@ def train_cell(params: Params, environment: str, method: str) -> None:
     device = pick_device(params.machine.device).type
     folders = [scratch.folder("train", environment, dataclasses.asdict(job), digest, device) for job in jobs]
     arguments = [(job, environment, data, params.machine, f) for job, f in zip(jobs, folders, strict=True)]
-    for _ in map_jobs(train_seed, arguments, params.machine.workers, f"train {environment} {method}"):
+    for _ in map_jobs(train_seed, arguments, params.machine, f"train {environment} {method}"):
         pass
 
     with replacing(paths.models(environment, method)) as models:

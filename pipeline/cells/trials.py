@@ -4,8 +4,8 @@ from beso import envs, trials
 from beso.envs.protocol import Trial, TrialRequest
 from beso.evaluation_config import chunks
 from pipeline import paths
+from pipeline.engine import map_jobs
 from pipeline.params import Params
-from pipeline.pool import map_jobs
 
 
 def make_trials(params: Params, environment: str) -> None:
@@ -26,7 +26,7 @@ def make_trials(params: Params, environment: str) -> None:
         for chunk in chunks(settings.evaluation)
     ]
     jobs = [(request,) for request in requests]
-    made = map_jobs(envs.trial_maker(environment), jobs, params.machine.workers, f"trials {environment}")
+    made = map_jobs(envs.trial_maker(environment), jobs, params.machine, f"trials {environment}")
     found: dict[tuple[str, int], list[Trial]] = {}
     for request, part in zip(requests, made, strict=True):
         found.setdefault((request.goals, request.model_seed), []).extend(part)
