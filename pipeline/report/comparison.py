@@ -45,7 +45,8 @@ def paper_numbers() -> pd.DataFrame:
 def places() -> pd.DataFrame:
     """Where numbers stand in the paper, in its order.
 
-    Columns: label (as in its source), name ("Table I"), title, what the page shows there and of what.
+    Columns: label (as in its source), name ("Table I"), title, what the page shows there and of what, and how the names
+    of its figures begin.
     """
     return pd.read_csv(PLACES, dtype=str).fillna("")
 

@@ -76,7 +76,8 @@ def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
     yield Drawing("overview", caption, overview(comparison, names))
     for name, title in names.environments.items():
         part = comparison[comparison["environment"] == name]
-        caption = f"{title}: scores beside the paper's; lines are one standard deviation over seeds."
+        beside = " beside the paper's" if of_cells(part)["paper"].notna().any() else ""
+        caption = f"{title}: scores{beside}; lines are one standard deviation over seeds."
         yield Drawing(f"scores_{name}", caption, scores(params, part, names, name))
         yield from envs.report(name).drawings(values["datasets"][name], values["episodes"][name])
         caption = f"{title}: held-out loss over its first measurement, a line a seed."
@@ -84,8 +85,18 @@ def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
         if name in params.images:
             if drawn := goals(params, names, name, values["episodes"][name]):
                 yield drawn
-            yield Drawing(f"samples_{name}", f"{title}: frames of the play data.", samples(paths.samples(name)))
-            caption = f"{title}: what a linear probe reads off features of held-out frames; black, a constant answer."
+            data, size = values["sources"][name], params.images[name].preprocess.size
+            caption = (
+                f"{title}: frames of the play data ({data}), from the first to the last, as the encoder gets them after"
+                f" preprocessing: {size} by {size} pixels."
+            )
+            yield Drawing(f"samples_{name}", caption, samples(paths.samples(name)))
+            caption = (
+                f"{title}: what a linear regression tells of the scene from the encoder's features of one frame, on"
+                f" held-out episodes of the play data ({data}). Left: how often it is right about what has two states;"
+                " right: its error about places and sizes, lower is better. Beside it, the same from an encoder with"
+                " random weights and from the simulator's state itself; black lines: the best constant answer."
+            )
             yield Drawing(f"probe_{name}", caption, probe(pd.read_csv(paths.probe(name))))
     for table in values["studies"]:
         caption = f"{table.title}; bars are 95 % intervals, diamonds the paper's numbers where it has them."
@@ -178,7 +189,8 @@ def scores(params: Params, comparison: pd.DataFrame, names: Names, environment: 
     bars = [
         (goals, "ours", "ours_std", f"ours, {names.goals(environment, goals)}", colours[goals]) for goals in colours
     ]
-    bars.append((goal_sets[0], "paper", "paper_std", "paper", COLOURS["paper"]))
+    if comparison["paper"].notna().any():
+        bars.append((goal_sets[0], "paper", "paper_std", "paper", COLOURS["paper"]))
     places, width = np.arange(len(methods)), 0.8 / len(bars)
     for axis, metric in zip(axes, metrics, strict=True):
         for i, (goals, value, std, label, colour) in enumerate(bars):
@@ -268,7 +280,7 @@ def probe(table: pd.DataFrame) -> Figure:
         axis.set_ylabel(label)
     constants = parts[0].drop_duplicates("target")["constant"]
     axes[0].hlines(constants, np.arange(len(constants)) - 0.45, np.arange(len(constants)) + 0.45, color="black")
-    axes[0].set_ylim(0.5, 1)
+    axes[0].set_ylim(0, 1)
     axes[1].axhline(1, color="black")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(names), frameon=False)

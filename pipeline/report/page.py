@@ -4,7 +4,7 @@ import base64
 import importlib.metadata
 import platform
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +36,15 @@ PACKAGES = (
 SECONDS = "seconds"  # the metric of the paper's times
 SCALE = 0.6  # the page's pixels for one of a figure, so that figures are sharp on dense screens
 FILM_BYTES = 8e6  # of all films; with their base64 and the figures, the page stays under 15 MB
+# Parts of the page beyond the paper's, and how the names of their figures begin. What no part has goes to REST.
+BEYOND = {
+    "overview": ["overview"],
+    "studies": ["study_"],
+    "training": ["training_"],
+    "fork": ["fork"],
+    "frames": ["samples_", "probe_"],
+}
+REST = "environments"
 
 
 class Picture(NamedTuple):
@@ -69,11 +78,10 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
     )
     folder, others = paths.REPORTS / "figures", other_profiles(params)
     verdicts, numbers = values["comparison"]["verdict"].value_counts(), paper_numbers()
-    studies_at = {
-        place.name: [table for table in values["studies"] if table.name.startswith(tuple(place.subject.split()))]
-        for place in values["places"]
-        if place.shows in ("numbers", "study")
-    }
+    shares = hyperparameters.shares_of_training(params)
+    drawn = read_json(folder / CAPTIONS)["figures"]
+    figures = [_figure(of["name"], of["caption"], folder / f"{of['name']}.png") for of in drawn]
+    beginnings = {place.name: place.figures.split() for place in values["places"]}
 
     def makers(starts: Iterable[str]) -> list[str]:
         """Other profiles that run a cell or study whose name starts in one of these ways."""
@@ -87,19 +95,27 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
         count=len(numbers),
         seconds=numbers[numbers["metric"] == SECONDS].set_index("method")["mean"].to_dict(),
         generated={name: dataset.meta["source"] == "scripted" for name, dataset in values["datasets"].items()},
-        studies_at=studies_at,
-        placed=[table.name for tables in studies_at.values() for table in tables],
-        figures={
-            drawn["name"]: _figure(drawn["name"], drawn["caption"], folder / f"{drawn['name']}.png")
-            for drawn in read_json(folder / CAPTIONS)["figures"]
-        },
+        figures=arrange(figures, beginnings | BEYOND),
+        study_of={f"study_{table.name}": table for table in values["studies"]},
+        table_of={table.name: table for table in values["own_tables"]},
+        bare_tables=[table for table in values["own_tables"] if table.name not in {f.name for f in figures}],
         films=_films(params, values["names"]),
         hyperparameters=hyperparameters.by_method(params),
-        shares=hyperparameters.shares_of_training(params),
+        shares=shares,
+        trained=list(dict.fromkeys(method for share in shares for method in share["shares"])),
         latency=latency,
         params_text=PATH.read_text(encoding="utf-8"),
         versions=versions(),
     )
+
+
+def arrange(figures: list[Picture], beginnings: Mapping[str, Iterable[str]]) -> dict[str, list[Picture]]:
+    """Figures by the part of the page that shows them: each in the first whose beginnings its name has, or in REST."""
+    parts: dict[str, list[Picture]] = {part: [] for part in [*beginnings, REST]}
+    for figure in figures:
+        fitting = (part for part, starts in beginnings.items() if figure.name.startswith(tuple(starts)))
+        parts[next(fitting, REST)].append(figure)
+    return parts
 
 
 def _figure(name: str, caption: str, path: Path) -> Picture:

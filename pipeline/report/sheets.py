@@ -23,15 +23,16 @@ class Sheet(NamedTuple):
 
     Attributes:
         columns: their heads.
-        lines: rows of which this run has something.
-        studies: those that ours are of.
-        missing: heads of the others.
+        lines: all of its rows, and ours for other goal sets.
+        studies, environments: those that ours are of.
+        missing: heads of the rows of which this run has nothing.
         wanted: the cells and studies that those are of.
     """
 
     columns: list[str]
     lines: list[Line]
     studies: list[str]
+    environments: list[str]
     missing: list[str]
     wanted: set[str]
 
@@ -42,16 +43,16 @@ def sheets(comparison: pd.DataFrame, names: Names) -> dict[str, Sheet]:
     others = comparison[comparison["place"].isna()]
     for name, part in comparison[comparison["place"].notna()].groupby("place", sort=False):
         columns = list(dict.fromkeys(part["column"]))
-        studies = part.loc[part["ours"].notna(), "study"].dropna().unique().tolist()
-        sheet = found[name] = Sheet(columns, [], studies, [], set())
+        ours = part[part["ours"].notna()]
+        studies, environments = (ours[column].dropna().unique().tolist() for column in ("study", "environment"))
+        sheet = found[name] = Sheet(columns, [], studies, environments, [], set())
         for head, of_row in part.groupby("row", sort=False):
             cells = {row.column: row for row in of_row.itertuples()}
+            line = Line(head, [cells.get(column) for column in columns])
+            sheet.lines.extend([line, *_other_goals(line, others, names)])
             if (of_row["verdict"] == NOT_RUN).all():
                 sheet.missing.append(head)
                 sheet.wanted.update(*map(_sources, cells.values()))
-            else:
-                line = Line(head, [cells.get(column) for column in columns])
-                sheet.lines.extend([line, *_other_goals(line, others, names)])
     return found
 
 

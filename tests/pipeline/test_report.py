@@ -1,3 +1,4 @@
+import base64
 import re
 import shutil
 import subprocess
@@ -7,6 +8,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from ruamel.yaml import YAML
 
 from beso import methods
 from beso.errors import CannotDrawError
@@ -14,6 +16,7 @@ from pipeline import params, profile
 from pipeline.cells import film
 from pipeline.cells.film import write_video
 from pipeline.report import page
+from pipeline.report.comparison import places
 from pipeline.report.gather import gather
 
 
@@ -169,6 +172,78 @@ def test_page_is_whole_and_needs_nothing_else(finished):
     assert len(text) < 15e6
 
 
+def figures_of(folder):
+    """Names of the figures on the page, in its order."""
+    return re.findall(r'<figure class="plot[^"]*" id="figure-([^"]+)"', (folder / "reports/report.html").read_text())
+
+
+def assert_each_figure_is_shown_once(folder):
+    written = [path for path in (folder / "reports/figures").iterdir() if path.name != "captions.json"]
+    for kind in (".png", ".pdf"):
+        assert sorted(figures_of(folder)) == sorted(path.stem for path in written if path.suffix == kind)
+    page = (folder / "reports/report.html").read_text()
+    for picture in written:
+        if picture.suffix == ".png":
+            assert page.count(base64.b64encode(picture.read_bytes()).decode()) == 1
+
+
+def part(page, place):
+    """The page's part with one of the paper's tables or figures."""
+    return page.split(f'<section id="{place.replace(" ", "-")}">')[1].split("</section>")[0]
+
+
+def test_every_figure_is_shown_once_where_the_paper_has_it(finished):
+    assert_each_figure_is_shown_once(finished.folder)
+    page = (finished.folder / "reports/report.html").read_text()
+    for place in places().itertuples():
+        for beginning in place.figures.split():
+            assert f'id="figure-{beginning}' in part(page, place.name)
+    order = figures_of(finished.folder)
+    assert order[0] == "overview"
+    assert order[-2:] == ["samples_calvin", "probe_calvin"]
+
+
+def test_the_page_has_every_number_of_the_paper(finished):
+    counts = {"Table I": 32, "Table II": 12, "Table IV": 24, "Table VII": 60, "Table VIII": 60, "Text": 7}
+    comparison = pd.read_csv(finished.folder / "reports/comparison.csv").query("place.notna()")
+    assert comparison["place"].value_counts().to_dict() == counts
+    page = (finished.folder / "reports/report.html").read_text()
+    listed = page.split('<section id="all-numbers">')[1].split("</section>")[0]
+    for place, count in counts.items():
+        assert listed.count(f'<td class="text key">{place}</td>') == count
+        rows, shown = comparison[comparison["place"] == place], part(page, place)
+        papers = re.findall(r'"theirs">([\d.]+)(?:<span class="pm"> &plusmn;([\d.]+)</span>)?</span>', shown)
+        assert sorted(float(mean) for mean, _ in papers) == sorted(rows["paper"])
+        assert sorted(float(std) for _, std in papers if std) == sorted(rows["paper_std"].dropna())
+        assert shown.count('<span class="none">not run</span>') == (rows["verdict"] == "not run").sum()
+
+
+def nothing_of(environment, values):
+    """A profile's file that leaves an environment out: null for it and for each of its cells, films and studies."""
+    methods = {method: {use: {environment: None} for use in uses} for method, uses in values.pop("methods").items()}
+    return {"methods": methods} | {name: dict.fromkeys(entries) for name, entries in values.items()}
+
+
+def test_a_profile_without_an_environment_leaves_no_broken_place(workspace):
+    left_out = nothing_of("calvin", YAML(typ="safe").load(workspace.folder / "profiles/paper/calvin.yaml"))
+    YAML().dump(left_out, workspace.folder / "profiles/smoke/calvin.yaml")
+    workspace.python("-m", "pipeline.profile", "smoke")
+    latency = pd.read_csv(workspace.folder / "results/latency.csv").query("environment != 'calvin'")
+    latency.to_csv(workspace.folder / "results/latency.csv", index=False)  # as the stage would, but at once
+    for stage in ("tables", "page"):
+        workspace.python("-m", f"stages.{stage}")
+    assert_each_figure_is_shown_once(workspace.folder)
+    assert not any("calvin" in name for name in figures_of(workspace.folder))
+    page = (workspace.folder / "reports/report.html").read_text()
+    links = Links()
+    links.feed(page)
+    assert links.open == []
+    for place in ("Figure 3", "Figure 4"):
+        assert "All of it: not in profile smoke; <code>python -m pipeline.profile cpu</code>" in part(page, place)
+    assert "No environment of this profile gives its policies images." in page
+    assert part(page, "Table II").count('<span class="none">not run</span>') == 4
+
+
 def test_goal_images_stand_beside_the_rollouts_ends(finished):
     scenes = np.load(finished.folder / "results/scenes/calvin/c_beso.npy")  # (episodes, start, goal and end, H, W, 3)
     goals = np.load(finished.folder / "data/trials/calvin/goal.npy")
@@ -176,7 +251,7 @@ def test_goal_images_stand_beside_the_rollouts_ends(finished):
     assert scenes.shape == (2, 3, 48, 48, 3)
     assert (scenes[:, 0] != scenes[:, 2]).any(axis=(1, 2, 3)).all(), "something moved"
     page = (finished.folder / "reports/report.html").read_text()
-    assert page.count('<figure class="plot photo">') == 1
+    assert page.count('<figure class="plot photo" id="figure-goals_calvin">') == 1
     assert "CALVIN, an episode of each single task: its start, its goal image" in page
 
 
