@@ -1,4 +1,6 @@
-"""Where tensors live."""
+"""Where tensors live, and how they are multiplied there."""
+
+from typing import Literal
 
 import torch
 
@@ -16,3 +18,13 @@ def pick_device(name: str) -> torch.device:
     if name == "cuda" and not torch.cuda.is_available():
         raise UserError("device = cuda: this PyTorch finds no GPU; auto or cpu are possible")
     return torch.device(name)
+
+
+def pick_precision(name: Literal["auto", "fp32", "bf16"], device: torch.device) -> Literal["fp32", "bf16"]:
+    """The precision of that name; "auto" means bf16 where the device multiplies it, elsewhere fp32, faster there."""
+    if name != "auto":
+        return name
+    if device.type == "cuda":
+        return "bf16" if torch.cuda.is_bf16_supported(including_emulation=False) else "fp32"
+    processor = torch.cpu.get_capabilities()
+    return "bf16" if processor.get("avx512_bf16") or processor.get("amx_bf16") else "fp32"

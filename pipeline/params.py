@@ -117,13 +117,13 @@ class Features:
 
     Attributes:
         width: channels of its first stage, see beso.images.resnet.
-        precision: "fp32", or "bf16" for autocast, in training and afterwards.
+        precision: "fp32", "bf16" for autocast, in training and afterwards, or "auto" for what the device is fast at.
         weights: if given, nothing is trained before.
         finetune: every policy trains its own copy on, as in the paper; else it is frozen.
     """
 
     width: int
-    precision: Literal["fp32", "bf16"]
+    precision: Literal["auto", "fp32", "bf16"]
     weights: Weights | None
     pretraining: Pretraining
     finetune: bool

@@ -12,7 +12,7 @@ import torch
 from beso import envs
 from beso.data import play
 from beso.data.play import PlayDataset
-from beso.device import pick_device
+from beso.device import pick_device, pick_precision
 from beso.files import replacing, sha256, write_text
 from beso.images import encoder, frames, probe
 from beso.images.encoder import Encoding
@@ -69,14 +69,15 @@ def make_encoder(settings: Features, folder: Path, seed: int, machine: Machine, 
         return
     packed = frames.load(folder, verify=False)
     size, device = packed.meta["size"], pick_device(machine.device)
+    precision = pick_precision(settings.precision, device)
     if settings.weights is not None:
         given = settings.weights
-        encoding = Encoding(settings.width, size, given.mean, given.std, settings.precision)
+        encoding = Encoding(settings.width, size, given.mean, given.std, precision)
         network = encoder.network(settings.width, read_weights(Path(given.path), given.sha256), given.path)
         provenance: dict[str, Any] = {"weights": given.sha256}
     else:
         mean, std = packed.meta["mean"], packed.meta["std"]
-        encoding = Encoding(settings.width, size, tuple(mean), tuple(std), settings.precision)
+        encoding = Encoding(settings.width, size, tuple(mean), tuple(std), precision)
         state, config = target / "state.safetensors", settings.pretraining
         network, curve = pretrain(packed, encoding, config, seed, device, state, machine.save_seconds)
         state.unlink(missing_ok=True)
