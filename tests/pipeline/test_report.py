@@ -277,6 +277,13 @@ def test_latency_is_measured_for_every_method_at_the_papers_size(finished):
     assert (table["median_ms"] > 0).all()
 
 
+def test_the_page_counts_the_parameters_of_variants_beside_their_methods(finished):
+    text = part((finished.folder / "reports/report.html").read_text(), "Text")
+    counts = re.findall(r"(Block-Push|Relay Kitchen): C-BESO ([\d,]+), C-BESO, FiLM ([\d,]+)", text)
+    assert [(name, count) for name, count, _ in counts] == [("Block-Push", "2,783,762"), ("Relay Kitchen", "9,381,609")]
+    assert all(int(film.replace(",", "")) > int(count.replace(",", "")) for _, count, film in counts)
+
+
 def test_films_play_back(tmp_path):
     ramp = np.linspace(0, 255, 64, dtype=np.uint8)
     frames = [
