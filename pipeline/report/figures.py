@@ -143,7 +143,7 @@ def study(table: studies.Table, comparison: pd.DataFrame) -> Figure:
         lines.setdefault(", ".join(label for i, label in enumerate(row.labels) if i != place), []).append(row)
     sets = len({column.goals for column in table.columns})
     figure = Figure(figsize=(7, 2.7 * sets), layout="constrained")
-    axes = figure.subplots(sets, len(table.columns) // sets, squeeze=False).flat
+    axes = figure.subplots(sets, len(table.columns) // sets, sharex=True, squeeze=False).flat
     theirs = comparison[comparison["study"] == table.name]
     for axis, (i, column) in zip(axes, enumerate(table.columns), strict=True):
         for n, ((label, rows), colour) in enumerate(zip(lines.items(), itertools.cycle(METHOD_COLOURS))):
