@@ -201,8 +201,9 @@ class Study:
 
     Attributes:
         env, method, of: the cell.
-        rollouts: episodes a seed, the first of the environment's first goal set, which is the paper's.
+        rollouts: episodes a seed and goal set, the first of each.
         vary: values by parameter of the cell's sampling; every combination is played.
+        goals: some of the evaluation's goal sets; null is the first, which is the paper's.
     """
 
     env: str
@@ -210,6 +211,7 @@ class Study:
     of: str
     rollouts: int
     vary: dict[str, Any]
+    goals: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         require_positive(self, "rollouts")
@@ -348,6 +350,11 @@ class Params:
         sampling = self.methods[method].sample[env]
         return dataclasses.replace(sampling, **changes) if changes else sampling
 
+    def goals(self, study: str) -> tuple[str, ...]:
+        """The goal sets of one study."""
+        entry = self.studies[study]
+        return entry.goals or self.environments[entry.env].evaluation.goals[:1]
+
     def samplings(self, study: str) -> list[tuple[dict[str, Any], Any]]:
         """The samplings of one study: what was changed, and the whole."""
         if study not in self.studies:
@@ -483,9 +490,13 @@ def _fits(model: Any, sampling: Any, where: str) -> None:
 
 def _study(params: Params, study: Study, where: str) -> None:
     """Every sampling of a study must be one that its cell could have, and its episodes among the evaluation's."""
-    made = params.environments[study.env].evaluation.rollouts
-    if study.rollouts > made:
-        raise UserError(f"{where}.rollouts = {study.rollouts}: must be at most the evaluation's, {made}")
+    evaluation = params.environments[study.env].evaluation
+    if study.rollouts > evaluation.rollouts:
+        raise UserError(f"{where}.rollouts = {study.rollouts}: must be at most the evaluation's, {evaluation.rollouts}")
+    goals = study.goals
+    if goals is not None and not (len(set(goals)) == len(goals) > 0 and {*goals} <= {*evaluation.goals}):
+        allowed = ", ".join(evaluation.goals)
+        raise UserError(f"{where}.goals = {list(goals)}: must be different ones of the evaluation's, {allowed}")
     whole = dataclasses.asdict(params.sampling(study.env, study.method))
     for combination in itertools.product(*study.vary.values()):
         changed = {**whole, **dict(zip(study.vary, combination, strict=True))}

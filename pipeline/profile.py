@@ -5,6 +5,7 @@ common.yaml first; in those of another profile, `null` for a whole cell, method,
 Comments are kept, and every leaf that changes in params.yaml is printed.
 """
 
+import functools
 import io
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,6 +30,16 @@ def render(name: str) -> str:
     Raises:
         UserError: no such profile, it changes a key that the complete profile lacks, or its values do not check.
     """
+    return _read(name)[0]
+
+
+@functools.cache
+def load(name: str) -> Params:
+    """One profile's parameters, read once in a process. Raises UserError as `render` does."""
+    return _read(name)[1]
+
+
+def _read(name: str) -> tuple[str, Params]:
     available = sorted(path.name for path in FOLDER.iterdir() if path.is_dir())
     if name not in available:
         raise UserError(f"profile {name!r} is not one of {', '.join(available)}")
@@ -49,13 +60,8 @@ def render(name: str) -> str:
             _change(values, params.read_yaml(path) or {}, str(path))
     text = io.StringIO()
     yaml.dump(values, text)
-    params.parse(YAML(typ="safe").load(text.getvalue()), f"profile {name}")
-    return text.getvalue()
-
-
-def load(name: str) -> Params:
-    """One profile's parameters. Raises UserError as `render` does."""
-    return params.parse(YAML(typ="safe").load(render(name)), f"profile {name}")
+    checked = params.parse(YAML(typ="safe").load(text.getvalue()), f"profile {name}")
+    return text.getvalue(), checked
 
 
 def leaves(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:

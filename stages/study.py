@@ -1,6 +1,6 @@
 """Evaluate one trained cell with every sampling of a study."""
 
-from pipeline.cells.evaluation import run_study
+from pipeline.cells.study import run_study
 from pipeline.params import load
 from pipeline.stage import run
 

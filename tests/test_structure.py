@@ -1,6 +1,7 @@
 """The rules of the folders: who may import whom, and that dvc.yaml names what its stages really import."""
 
 import ast
+import functools
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,7 @@ MACHINERY |= {Path("beso") / name for name in ("config.py", "errors.py", "files.
 MACHINERY |= {Path("beso") / name / "__init__.py" for name in ("envs", "methods")}
 
 
+@functools.cache
 def imports(path, within_functions=True):
     """Project modules that a file imports when it runs, as paths; imports for type checkers alone do not count.
 
@@ -65,6 +67,7 @@ def closure(paths, within_functions=True):
     return {p for p in seen if not is_docstring_only(p)}
 
 
+@functools.cache
 def is_docstring_only(path):
     return all(isinstance(node, ast.Expr) for node in ast.parse((ROOT / path).read_text()).body)
 

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
+from torch import Tensor
 
-from beso.config import require_rate
+from beso.config import require, require_rate
 from beso.data.spec import Sizes
+from beso.data.windows import Batch
 from beso.diffusion.score_policy import DiffusionConfig, DiffusionSampling, ScorePolicy
 from beso.methods import ModelConfig
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
@@ -21,7 +23,9 @@ class Config(ModelConfig):
     """The network, its training noise, and how it learns to do without a goal.
 
     Attributes:
-        goal_dropout: share of samples trained without their goal.
+        goal_dropout: share of samples trained without their goal; or, by element, of each goal's entries that are lost.
+        goal_dropout_of: "goal", whole goals; or "element", single entries of goals, each by itself, as in the published
+            code, which so drops hardly any goal whole.
         goal_dropout_from: share of the training before which no goal is dropped.
         null_goal: what stands for no goal: "zeros" in scaled units, or "learned", a goal of its own. Zeros are also the
             mean of all goals, and so a goal that a demonstration could have.
@@ -30,11 +34,16 @@ class Config(ModelConfig):
     transformer: TransformerConfig
     diffusion: DiffusionConfig
     goal_dropout: float
+    goal_dropout_of: Literal["goal", "element"]
     goal_dropout_from: float
     null_goal: Literal["zeros", "learned"]
 
     def __post_init__(self) -> None:
         require_rate(self, "goal_dropout", "goal_dropout_from")
+        require(
+            self.goal_dropout_of == "goal" or self.goal_dropout_from == 0,
+            f"goal_dropout_from = {self.goal_dropout_from}: must be 0 where goal_dropout_of is element",
+        )
 
     @property
     def window(self) -> int:
@@ -53,12 +62,22 @@ class Method(ScorePolicy):
     """The policy. See beso.methods.Policy."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
+        whole = config.goal_dropout_of == "goal"
         super().__init__(
             ScoreTransformer(config.transformer, *sizes, generator=generator),
             config.diffusion,
             sampling,
-            goal_dropout=config.goal_dropout,
+            goal_dropout=config.goal_dropout if whole else 0.0,
             goal_dropout_from=config.goal_dropout_from,
             null_goal=torch.ones(sizes.goal_window, sizes.observation) if config.null_goal == "learned" else None,
             guidance_scale=sampling.guidance_scale if sampling else 1.0,
         )
+        self.element_dropout = 0.0 if whole else config.goal_dropout
+
+    def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:
+        """As ScorePolicy's, of goals that may have lost entries."""
+        if self.element_dropout and self.training:
+            draws = torch.rand(batch.goal.shape, generator=generator, device=batch.goal.device)
+            goal = torch.where(draws >= self.element_dropout, batch.goal, self.without_goal(batch.goal))
+            batch = batch._replace(goal=goal)
+        return super().loss(batch, generator)

@@ -1,7 +1,6 @@
-"""Evaluation of one cell, and of the samplings of a study: chunks of episodes over worker processes."""
+"""Evaluation of one cell: chunks of episodes over worker processes."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,24 +28,6 @@ def evaluate_cell(params: Params, environment: str, method: str) -> None:
     with replacing(paths.scenes(environment, method)) as temporary:
         write_npy(temporary, np.array(scenes))
     write_text(paths.episodes(environment, method), pd.DataFrame(rows).to_csv(index=False))
-
-
-def run_study(params: Params, name: str) -> None:
-    """Play a cell's episodes with every sampling of a study, from the same starts and with the same noise.
-
-    The rows are those of an evaluation, with the changed parameters in front.
-    """
-    samplings = params.samplings(name)
-    study = params.studies[name]
-    jobs: list[EvaluationJob] = []
-    changes: list[dict[str, Any]] = []
-    for changed, sampling in samplings:
-        for job in evaluation_jobs(params, study.env, study.method, sampling):
-            config = replace(job.config, goals=job.config.goals[:1], rollouts=study.rollouts)
-            jobs.append(replace(job, config=config))
-            changes.append(changed)
-    rows, _ = play_all(params, jobs, f"study {name}", changes)
-    write_text(paths.study(name), pd.DataFrame(rows).to_csv(index=False))
 
 
 def evaluation_jobs(params: Params, environment: str, method: str, sampling: Any) -> list[EvaluationJob]:

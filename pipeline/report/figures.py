@@ -33,7 +33,7 @@ MARKS = {  # by verdict
     "same": ("s", GREEN),
     "worse": ("v", RED),
     "cannot tell": ("o", "#888888"),
-}  # by verdict
+}
 STYLE = {"font.size": 8, "axes.spines.top": False, "axes.spines.right": False, "pdf.fonttype": 42, "savefig.dpi": 200}
 
 
@@ -132,7 +132,7 @@ def overview(comparison: pd.DataFrame, names: Names) -> Figure:
 
 
 def study(table: studies.Table, comparison: pd.DataFrame) -> Figure:
-    """A study's scores, a panel a metric: over what varies in numbers, if anything does, with a line for the rest."""
+    """A study's scores, a panel a column: over what varies in numbers, if any, with a line for the rest."""
     keys = list(table.rows[0].changes)
     numeric = [key for key in keys if all(pd.api.types.is_number(row.changes[key]) for row in table.rows)]
     along = numeric[-1] if numeric else keys[-1]
@@ -141,10 +141,11 @@ def study(table: studies.Table, comparison: pd.DataFrame) -> Figure:
     lines: dict[str, list[studies.Row]] = {}
     for row in table.rows:
         lines.setdefault(", ".join(label for i, label in enumerate(row.labels) if i != place), []).append(row)
-    figure = Figure(figsize=(7, 2.7), layout="constrained")
-    axes = figure.subplots(1, len(table.metrics), squeeze=False)[0]
+    sets = len({column.goals for column in table.columns})
+    figure = Figure(figsize=(7, 2.7 * sets), layout="constrained")
+    axes = figure.subplots(sets, len(table.columns) // sets, sharex=True, squeeze=False).flat
     theirs = comparison[comparison["study"] == table.name]
-    for axis, (i, metric) in zip(axes, enumerate(table.metrics), strict=True):
+    for axis, (i, column) in zip(axes, enumerate(table.columns), strict=True):
         for n, ((label, rows), colour) in enumerate(zip(lines.items(), itertools.cycle(METHOD_COLOURS))):
             shift = 0.5 * (n + 0.5 - len(lines) / 2) / len(lines)
             x = np.array([ticks.index(row.labels[place]) for row in rows]) + shift
@@ -160,21 +161,22 @@ def study(table: studies.Table, comparison: pd.DataFrame) -> Figure:
                 linestyle="-" if numeric else "none",
                 **style,
             )
-            papers = [_papers(theirs, metric.name, row.changes) for row in rows]
+            papers = [_papers(theirs, column, row.changes) for row in rows]
             axis.plot(
                 x, papers, "D", color=colour if len(lines) > 1 else COLOURS["paper"], fillstyle="none", markersize=4
             )
         axis.set_xticks(range(len(ticks)), ticks, rotation=0 if numeric else 30, ha="center" if numeric else "right")
-        axis.set(title=metric.label, xlabel=table.varied[place] if numeric else "", xlim=(-0.5, len(ticks) - 0.5))
+        axis.set(title=column.label, xlabel=table.varied[place] if numeric else "", xlim=(-0.5, len(ticks) - 0.5))
     if len(lines) > 1:
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False)
     return figure
 
 
-def _papers(numbers: pd.DataFrame, metric: str, changes: dict[str, Any]) -> float:
+def _papers(numbers: pd.DataFrame, column: studies.Column, changes: dict[str, Any]) -> float:
     """The paper's number for one sampling of a study; NaN if it has none."""
     wanted = " ".join(f"{key}={value}" for key, value in changes.items())
-    found = numbers.loc[(numbers["metric"] == metric) & (numbers["values"] == wanted), "paper"]
+    same = (numbers["metric"] == column.metric.name) & (numbers["goals"] == column.goals)
+    found = numbers.loc[same & (numbers["values"] == wanted), "paper"]
     return float(found.iloc[0]) if len(found) else math.nan
 
 

@@ -100,6 +100,7 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
         table_of={table.name: table for table in values["own_tables"]},
         bare_tables=[table for table in values["own_tables"] if table.name not in {f.name for f in figures}],
         films=_films(params, values["names"]),
+        variant_sizes=variant_sizes(params, values["names"], latency),
         hyperparameters=hyperparameters.by_method(params),
         shares=shares,
         trained=list(dict.fromkeys(method for share in shares for method in share["shares"])),
@@ -116,6 +117,24 @@ def arrange(figures: list[Picture], beginnings: Mapping[str, Iterable[str]]) -> 
         fitting = (part for part, starts in beginnings.items() if figure.name.startswith(tuple(starts)))
         parts[next(fitting, REST)].append(figure)
     return parts
+
+
+def variant_sizes(params: Params, names: Names, latency: pd.DataFrame) -> list[str]:
+    """In words, the parameters of each variant whose network has not as many as that of the method that it changes.
+
+    Args:
+        latency: from pipeline.cells.latency.measure, which counts them at the paper's size.
+    """
+    counts = {(row.environment, row.method): row.parameters for row in latency.itertuples()}
+    found = []
+    for cell in params.cells.values():
+        base, variant = counts.get((cell.env, cell.of)), counts.get((cell.env, cell.method))
+        if base and variant and base != variant:
+            labels = names.methods
+            found.append(
+                f"{names.environments[cell.env]}: {labels[cell.of]} {base:,}, {labels[cell.method]} {variant:,}"
+            )
+    return found
 
 
 def _figure(name: str, caption: str, path: Path) -> Picture:

@@ -10,8 +10,16 @@ from pipeline.report.names import Names, value, words
 from pipeline.report.statistics import Estimate, difference, over_seeds
 
 
+class Column(NamedTuple):
+    """What a study scores: a metric, over one goal set, which the label names where the study has several."""
+
+    label: str
+    metric: Metric
+    goals: str
+
+
 class Score(NamedTuple):
-    """One metric of one sampling.
+    """One column's score of one sampling.
 
     Attributes:
         estimate: the score.
@@ -25,44 +33,59 @@ class Score(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One sampling: what was changed, the same as text, and a score a metric."""
+    """One sampling: what was changed, the same as text, how often an action calls the network, a score a column."""
 
     changes: dict[str, Any]
     labels: list[str]
+    calls: int
     scores: list[Score]
 
 
 class Table(NamedTuple):
-    """One study: its name and title, its environment, what varies, its metrics, a row a sampling."""
+    """One study: its name and title, its environment, what varies, what it scores, a row a sampling."""
 
     name: str
     title: str
     environment: str
     varied: list[str]
-    metrics: tuple[Metric, ...]
+    columns: list[Column]
     rows: list[Row]
 
 
 def tables(params: Params) -> list[Table]:
-    """One table for each study. Scores are over the first goal set, the paper's."""
+    """One table for each study."""
     found, names = [], Names(params)
     for name, study in params.studies.items():
         episodes = read_study(name)
-        episodes = episodes[episodes["goals"] == params.environments[study.env].evaluation.goals[0]]
-        metrics = envs.report(study.env).METRICS
+        columns = [
+            Column(_label(metric, goals, study.env, params.goals(name), names), metric, goals)
+            for goals in params.goals(name)
+            for metric in envs.report(study.env).METRICS
+        ]
         parts = [(changes, rows_of(episodes, changes)) for changes, _ in params.samplings(name)]
         rows = [
-            Row(changes, [value(v) for v in changes.values()], [_score(part, parts[0][1], m) for m in metrics])
+            Row(
+                changes,
+                [value(v) for v in changes.values()],
+                int(part["calls"].iloc[0]),
+                [_score(part, parts[0][1], column) for column in columns],
+            )
             for changes, part in parts
         ]
         varied = [words(key) for key in study.vary]
-        found.append(Table(name, names.study(name, study), study.env, varied, metrics, rows))
+        found.append(Table(name, names.study(name, study), study.env, varied, columns, rows))
     return found
 
 
-def _score(rows: Any, first: Any, metric: Metric) -> Score:
-    estimate = over_seeds(rows, metric)
-    if rows is first:
+def _label(metric: Metric, goals: str, environment: str, sets: tuple[str, ...], names: Names) -> str:
+    return f"{metric.label}, {names.goals(environment, goals)}" if len(sets) > 1 else metric.label
+
+
+def _score(rows: Any, first: Any, column: Column) -> Score:
+    alone, of_first = rows is first, first[first["goals"] == column.goals]
+    rows = rows[rows["goals"] == column.goals]
+    estimate = over_seeds(rows, column.metric)
+    if alone:
         return Score(estimate, None, "")
-    change = difference(rows, first, metric)
-    return Score(estimate, change, verdict(change.low, change.high, metric.maximum) if change else "")
+    change = difference(rows, of_first, column.metric)
+    return Score(estimate, change, verdict(change.low, change.high, column.metric.maximum) if change else "")

@@ -43,6 +43,7 @@ MODELS = {
         "transformer": TRANSFORMER,
         "diffusion": DIFFUSION,
         "goal_dropout": 0.2,
+        "goal_dropout_of": "goal",
         "goal_dropout_from": 0.0,
         "null_goal": "learned",
     },

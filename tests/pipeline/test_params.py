@@ -13,9 +13,14 @@ from pipeline import params, profile
 PROFILES = sorted(path.name for path in profile.FOLDER.iterdir())
 
 
-@pytest.fixture
-def values():
+@pytest.fixture(scope="module")
+def smoke():
     return YAML(typ="safe").load(profile.render("smoke"))
+
+
+@pytest.fixture
+def values(smoke):
+    return copy.deepcopy(smoke)
 
 
 @pytest.mark.parametrize("name", PROFILES)
@@ -113,6 +118,14 @@ def cell(env, method, of=None):
         (("studies", "samplers_block_push", "vary"), {"sampler": "x"}, r"vary\.sampler = 'x': must be a list"),
         (("studies", "samplers_block_push", "vary"), {"speed": [1]}, r"samplers_block_push\.speed = 1: unknown"),
         (("studies", "samplers_block_push", "vary"), {"sampler": ["x"]}, r"sampler = 'x': must be one of euler,"),
+        (
+            ("studies", "samplers_block_push", "goals"),
+            ["two_tasks"],
+            r"goals = \['two_tasks'\]: must be different ones of the evaluation's, training, held_out",
+        ),
+        (("studies", "samplers_block_push", "goals"), ["training"] * 2, r"\.goals = .*: must be different"),
+        (("studies", "samplers_block_push", "goals"), [], r"samplers_block_push\.goals = \[\]: must be different"),
+        (("studies", "samplers_block_push", "rollouts"), 3, r"rollouts = 3: must be at most the evaluation's, 2"),
         (("studies", "samplers_block_push", "method"), "gcbd", r"block_push-gcbd of c_beso is not"),
         ((*BLOCK_PUSH, "training", "goal_horizon"), 0, r"goal_horizon = 0: must be at least 1"),
         ((*BLOCK_PUSH, "collect", "source"), "published", r"folder = null: source published needs a folder"),
@@ -151,6 +164,11 @@ def cell(env, method, of=None):
             99,
             r"cx_diff\.sample\.block_push: steps = 99: must be at most diffusion_steps, 20",
         ),
+        (
+            ("methods", "cfg_beso_element", "train", "block_push", "model", "goal_dropout_from"),
+            0.5,
+            r"goal_dropout_from = 0\.5: must be 0 where goal_dropout_of is element",
+        ),
         ((*SAMPLE, "context_length"), 0, r"context_length = 0: must be at least 1"),
         (SAMPLE, IDDPM, r"steps = 2000: iddpm has 471 levels"),
     ],
@@ -171,6 +189,7 @@ def room(values):
     name = next(path.parts[-3] for path in Path(envs.__path__[0]).glob("*/demonstrations/raw.py"))
     values["environments"][name] = {**copy.deepcopy(values["environments"]["block_push"]), "collect": RAW}
     values["images"][name] = IMAGES
+    values["studies"] = {key: study for key, study in values["studies"].items() if study["env"] != name}
     return name
 
 
@@ -217,8 +236,8 @@ def test_mistakes_about_images(values, room, monkeypatch, path, value, message):
 def test_every_key_is_needed(values):
     """Every mapping of the smoke profile, less all but one environment, is refused when one of its keys is gone.
 
-    The one has images and no variants, which need not give every key. Of cells, films, studies and what these vary, and
-    methods on the fork there may be fewer.
+    The one has images and no variants, which need not give every key. Of cells, films, studies, what these vary, their
+    goal sets, and methods on the fork there may be fewer.
     """
     kept = "calvin"
     values["environments"] = {kept: values["environments"][kept]}
@@ -237,7 +256,7 @@ def test_every_key_is_needed(values):
 
     optional = {("cells", 2), ("films", 2), ("studies", 2), ("studies", 4), ("fork", 3)}
     for path in paths(values):
-        if (path[0], len(path)) in optional:
+        if (path[0], len(path)) in optional or (path[0], path[-1]) == ("studies", "goals"):
             continue
         broken = copy.deepcopy(values)
         inner = broken

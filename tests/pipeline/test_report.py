@@ -48,7 +48,7 @@ def test_comparison_has_every_number_of_the_paper_with_a_verdict(finished):
     numbers = table[table["place"].notna()]
     assert len(numbers) == 195
     # The main table, the text's; noise, schedules, and of the samplers two with three steps.
-    measured = 32 + 5 + 2 * 4 + 24 + 2 * 2 * 2
+    measured = 32 + 5 + 12 + 24 + 2 * 2 * 2
     assert numbers["verdict"].value_counts()[["not run", "timed apart"]].tolist() == [195 - measured - 2, 2]
     assert (numbers["verdict"] == "not run").sum() == numbers.loc[numbers["environment"].notna(), "ours"].isna().sum()
 
@@ -70,6 +70,14 @@ def test_studies_stand_beside_the_papers_numbers(finished):
         assert row["ours"] == pytest.approx(part["result"].mean(), abs=1e-6)
         assert row["episodes"] == len(part) / 2
         assert row["place"] == "Table II"
+    rows = pd.read_csv(finished.folder / "results/studies/noise_calvin.csv")
+    part = table[table["study"] == "noise_calvin"].set_index(["goals", "column"])
+    assert part.index.tolist() == [
+        (goals, column) for goals in ("single_tasks", "two_tasks") for column in ("Deterministic", "Stochastic")
+    ]
+    for goals, expected in rows[~rows["sampler"].str.contains("ancestral")].groupby("goals"):
+        assert part.loc[(goals, "Deterministic"), "ours"] == pytest.approx(expected["success"].mean(), abs=1e-6)
+        assert part.loc[(goals, "Deterministic"), "episodes"] == len(expected) / 2
     # This profile's studies of samplers have some of the paper's columns, and one of its numbers of steps.
     rows = pd.read_csv(finished.folder / "results/studies/samplers_log_normal_kitchen.csv")
     part = table[(table["place"] == "Table VII") & (table["metric"] == "reward") & table["ours"].notna()]
@@ -269,6 +277,13 @@ def test_latency_is_measured_for_every_method_at_the_papers_size(finished):
     assert (table["median_ms"] > 0).all()
 
 
+def test_the_page_counts_the_parameters_of_variants_beside_their_methods(finished):
+    text = part((finished.folder / "reports/report.html").read_text(), "Text")
+    counts = re.findall(r"(Block-Push|Relay Kitchen): C-BESO ([\d,]+), C-BESO, FiLM ([\d,]+)", text)
+    assert [(name, count) for name, count, _ in counts] == [("Block-Push", "2,783,762"), ("Relay Kitchen", "9,381,609")]
+    assert all(int(film.replace(",", "")) > int(count.replace(",", "")) for _, count, film in counts)
+
+
 def test_films_play_back(tmp_path):
     ramp = np.linspace(0, 255, 64, dtype=np.uint8)
     frames = [
@@ -323,7 +338,9 @@ def test_watch_films_an_episode_of_the_evaluation(finished, tmp_path):
 def test_studies_have_a_row_an_episode_and_sampling_from_the_same_starts(finished):
     rows = pd.read_csv(finished.folder / "results/studies/samplers_block_push.csv")
     varied = ["sampler", "steps"]
-    parts = {key: part.drop(columns=varied).reset_index(drop=True) for key, part in rows.groupby(varied)}
+    calls = rows.groupby(varied)["calls"].unique().map(list).to_dict()
+    assert calls == {("ddim", 2): [2], ("ddim", 3): [3], ("heun", 2): [3], ("heun", 3): [5]}
+    parts = {key: part.drop(columns=[*varied, "calls"]).reset_index(drop=True) for key, part in rows.groupby(varied)}
     assert parts.keys() == {("ddim", 2), ("ddim", 3), ("heun", 2), ("heun", 3)}
     same = ["seed", "goals", "episode", "goal_demonstration", "goal_tasks"]
     assert all(part[same].equals(parts["ddim", 3][same]) for part in parts.values())
