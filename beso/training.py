@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 from tqdm import trange
 
-from beso import methods, optimizers
+from beso import checkpoint, methods, optimizers
 from beso.checkpoint import Trained
 from beso.data.play import PlayDataset
 from beso.data.scaling import Scaling
@@ -36,6 +36,7 @@ def train(
     state_path: Path,
     save_seconds: float = 60.0,
     encoder: Path | None = None,
+    teacher: Path | None = None,
 ) -> Trained:
     """Train one model, continuing from `state_path` where that file exists.
 
@@ -43,6 +44,7 @@ def train(
 
     Args:
         encoder: folder of the encoder that is trained too, where the dataset holds frames.
+        teacher: folder of the trained models that this one's teacher, the one of the same seed, is among.
     """
     # Data
     optimization, model = job.config.optimization, job.config.model
@@ -63,6 +65,8 @@ def train(
         method = finetuned.join(method, encoder, dataset, training_episodes)
         encoding = method.encoding
     method = method.to(device).train()
+    if teacher is not None:
+        method.learn_from(checkpoint.load(teacher, job.seed, None, device).method)
     method.prepare(windows.actions, integer_seed(job.root_seed, "preparation", job.seed))
     averaged = copy.deepcopy(method).eval().requires_grad_(False)
     parameters, averages = list(method.parameters()), list(averaged.parameters())

@@ -20,6 +20,7 @@ from beso.evaluation_config import EvaluationConfig
 from beso.images.pretraining import Pretraining
 from beso.images.resnet import check_width
 from beso.training_config import TrainingConfig, TrainingJob, ValidationConfig
+from pipeline import paths
 
 PATH = Path("params.yaml")
 
@@ -188,7 +189,18 @@ class Cell:
     Attributes:
         env, method: what `environments` and `methods` name.
         of: the method's file in beso/methods; a variant names the method that it changes.
+        source: the folder of the play data; or of the models of another cell, its teacher.
     """
+
+    env: str
+    method: str
+    of: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Film:
+    """A trained cell to be filmed."""
 
     env: str
     method: str
@@ -278,7 +290,7 @@ class Params:
     cells: dict[str, Cell]
     methods: dict[str, MethodParams]
     studies: dict[str, Study]
-    films: dict[str, Cell]
+    films: dict[str, Film]
     latency: Latency
     fork: Fork
 
@@ -294,11 +306,14 @@ class Params:
                 name == f"{cell.env}-{cell.method}",
                 f"cells.{name}: its name must be env and method with a hyphen between, {cell.env}-{cell.method}",
             )
-        for name, cell in self.films.items():
-            require(self.cells.get(name) == cell, f"films.{name}: is not among the cells like that")
+        known = {name: (cell.env, cell.method, cell.of) for name, cell in self.cells.items()}
+        for name, film in self.films.items():
+            require(
+                known.get(name) == (film.env, film.method, film.of), f"films.{name}: is not among the cells like that"
+            )
         for name, study in self.studies.items():
             require(
-                self.cells.get(f"{study.env}-{study.method}") == Cell(study.env, study.method, study.of),
+                (study.env, study.method, study.of) in known.values(),
                 f"studies.{name}: {study.env}-{study.method} of {study.of} is not among the cells",
             )
 
@@ -330,6 +345,11 @@ class Params:
         if f"{env}-{method}" not in self.cells:
             raise UserError(f"{PATH} has no cell {env}-{method}: {', '.join(self.cells)} are there")
         return self.cells[f"{env}-{method}"]
+
+    def teacher(self, env: str, method: str) -> str | None:
+        """The method whose trained models one cell learns from; None is the play data. Raises UserError as `cell`."""
+        folder = self.cell(env, method).source
+        return next((name for name in self.methods_in(env) if str(paths.models(env, name)) == folder), None)
 
     def job(self, env: str, method: str, seed: int) -> TrainingJob:
         """The training run of one model. Raises UserError as `cell` does."""
@@ -433,6 +453,8 @@ def parse(values: Any, where: str) -> Params:
         module, key = methods.load(name), f"{where}.fork.methods.{name}"
         build(module.Config, chosen.model, f"{key}.model").check(build(module.Sampling, chosen.sample, f"{key}.sample"))
     params = dataclasses.replace(params, methods=checked)
+    for key, cell in params.cells.items():
+        _teacher(params, cell, f"{where}.cells.{key}")
     for name, study in params.studies.items():
         _study(params, study, f"{where}.studies.{name}")
     return params
@@ -486,6 +508,22 @@ def _fits(model: Any, sampling: Any, where: str) -> None:
         model.check(sampling)
     except ValueError as error:
         raise UserError(f"{where}: {error}") from None
+
+
+def _teacher(params: Params, cell: Cell, where: str) -> None:
+    """A cell learns from what is there and what its method can learn from."""
+    play, others = paths.play(cell.env), [name for name in params.methods_in(cell.env) if name != cell.method]
+    folders = [str(play), *(str(paths.models(cell.env, name)) for name in others)]
+    if cell.source not in folders:
+        raise UserError(f"{where}.source = {cell.source!r}: must be one of {', '.join(folders)}")
+    teacher = params.teacher(cell.env, cell.method)
+    model = params.methods[cell.method].train[cell.env].model
+    try:
+        model.check_teacher(params.methods[teacher].train[cell.env].model if teacher else None)
+    except ValueError as error:
+        raise UserError(f"{where}.source = {cell.source!r}: {cell.of}: {error}") from None
+    if teacher and cell.env in params.images and params.images[cell.env].features.finetune:
+        raise UserError(f"{where}.source = {cell.source!r}: images.{cell.env}.features.finetune must be false")
 
 
 def _study(params: Params, study: Study, where: str) -> None:

@@ -68,6 +68,10 @@ class ModelConfig:
         length = sampling.context_steps(self.context)
         require(length <= self.window, f"context_length = {length}: must be at most the model's window, {self.window}")
 
+    def check_teacher(self, teacher: ModelConfig | None) -> None:
+        """Raise ValueError unless a model can learn from a trained one of this configuration, or, None, from play."""
+        require(teacher is None, "learns from play data, not from a teacher")
+
 
 class Policy(Protocol):
     """What training and rollouts ask of a policy, a torch.nn.Module. All tensors are scaled."""
@@ -80,6 +84,9 @@ class Policy(Protocol):
 
     def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise, memory: Memory) -> Tensor:
         """(B, T, O), (B, T-1, A), (B, G, O) -> next action (B, A). `memory` may be changed."""
+
+    def learn_from(self, teacher: Any) -> None:
+        """Before training, of a method whose `check_teacher` allows it: take a trained policy for a teacher."""
 
     def prepare(self, actions: Tensor, seed: int) -> None:
         """Look at all scaled training actions (N, A) before the first update."""

@@ -37,6 +37,7 @@ def gather(params: Params) -> dict[str, Any]:
         "places": list(places().itertuples()),
         "sheets": sheets(comparison, names),
         "studies": studies.tables(params),
+        "students": studies.students(params),
         "datasets": datasets,
         "episodes": episodes,
         "own_tables": [t for name, data in datasets.items() for t in envs.report(name).tables(data, episodes[name])],

@@ -1,11 +1,11 @@
-"""Tables of the studies: a row a sampling, with its difference to the first one."""
+"""Tables of the studies, a row a sampling, and of students and teachers: each with its difference to the first row."""
 
 from typing import Any, NamedTuple
 
 from beso import envs
 from beso.envs.protocol import Metric
 from pipeline.params import Params
-from pipeline.report.comparison import read_study, rows_of, verdict
+from pipeline.report.comparison import read_episodes, read_study, rows_of, verdict
 from pipeline.report.names import Names, value, words
 from pipeline.report.statistics import Estimate, difference, over_seeds
 
@@ -33,19 +33,20 @@ class Score(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One sampling: what was changed, the same as text, how often an action calls the network, a score a column."""
+    """One sampling: what was changed, the same as text, how often an action calls the network if counted, scores."""
 
     changes: dict[str, Any]
     labels: list[str]
-    calls: int
+    calls: int | None
     scores: list[Score]
 
 
 class Table(NamedTuple):
-    """One study: its name and title, its environment, what varies, what it scores, a row a sampling."""
+    """One study: its name and title, what its rows share, its environment, what varies, what it scores, its rows."""
 
     name: str
     title: str
+    shared: str
     environment: str
     varied: list[str]
     columns: list[Column]
@@ -73,7 +74,30 @@ def tables(params: Params) -> list[Table]:
             for changes, part in parts
         ]
         varied = [words(key) for key in study.vary]
-        found.append(Table(name, names.study(name, study), study.env, varied, columns, rows))
+        shared = "models, starts and noise"
+        found.append(Table(name, names.study(name, study), shared, study.env, varied, columns, rows))
+    return found
+
+
+def students(params: Params) -> list[Table]:
+    """One table for each teacher: itself, then the policies that learned from it, over the first goal set."""
+    names, taught = Names(params), dict[tuple[str, str], list[str]]()
+    for cell in params.cells.values():
+        teacher = params.teacher(cell.env, cell.method)
+        if teacher:
+            taught.setdefault((cell.env, teacher), [teacher]).append(cell.method)
+    found = []
+    for (environment, teacher), policies in taught.items():
+        goals = params.environments[environment].evaluation.goals[0]
+        columns = [Column(metric.label, metric, goals) for metric in envs.report(environment).METRICS]
+        parts = [read_episodes(environment, policy) for policy in policies]
+        rows = [
+            Row({"policy": policy}, [names.method(policy)], None, [_score(part, parts[0], c) for c in columns])
+            for policy, part in zip(policies, parts, strict=True)
+        ]
+        title = f"{names.method(teacher)} and its students in {names.environment(environment)}"
+        name = f"students_{environment}_{teacher}"
+        found.append(Table(name, title, "starts and noise", environment, ["Policy"], columns, rows))
     return found
 
 

@@ -1,9 +1,12 @@
 """A small play dataset and small training jobs, shared by the tests of the library."""
 
+import math
+
 import numpy as np
 import pytest
+import torch
 
-from beso import envs, methods
+from beso import checkpoint, envs, methods, training
 from beso.config import build
 from beso.data.play import Episode, assemble
 from beso.training_config import OptimizationConfig, TrainingConfig, TrainingJob, ValidationConfig
@@ -75,7 +78,9 @@ MODELS = {
         "offset_weight": 10.0,
     },
     "cx_diff": {"transformer": TRANSFORMER, "diffusion_steps": 5, "beta_min": 1e-4, "beta_max": 0.7},
+    "distilled": {"transformer": TRANSFORMER, "diffusion": DIFFUSION, "steps": 2, "teacher_steps": 3},
 }
+TEACHERS = {"distilled": "c_beso"}  # whose models a method learns from, where it is not play data
 SAMPLINGS = {
     "gcbc": {},
     "c_beso": SAMPLING,
@@ -85,6 +90,7 @@ SAMPLINGS = {
     "lmp": {"replan": 2},
     "c_bet": {"context_length": None},
     "cx_diff": {"steps": None, "extra_steps": 2, "context_length": None},
+    "distilled": {"context_length": None},
 }
 OPTIMIZATION = {
     "steps": 8,
@@ -107,6 +113,21 @@ def spec():
 def small_models():
     """(model, sampling) of every method, as plain mappings."""
     return {name: (MODELS[name], SAMPLINGS[name]) for name in MODELS}
+
+
+@pytest.fixture
+def teacher_of(make_job, dataset, spec, tmp_path_factory):
+    """teacher_of(job) -> the folder of a trained teacher of this job's seed; None where a method has none."""
+
+    def train(job):
+        if job.method not in TEACHERS:
+            return None
+        folder, teaching = tmp_path_factory.mktemp("teacher"), make_job(TEACHERS[job.method], seed=job.seed)
+        trained = training.train(teaching, dataset, spec, torch.device("cpu"), folder / "state", math.inf)
+        checkpoint.save(folder, teaching, spec.sizes, trained, "data")
+        return folder
+
+    return train
 
 
 def random_episode(steps, spec, rng):

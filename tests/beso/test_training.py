@@ -22,11 +22,16 @@ CPU = torch.device("cpu")
 
 
 @pytest.fixture
-def run(dataset, spec, tmp_path):
+def run(dataset, spec, tmp_path, teacher_of):
     """run(job, state file) -> what training makes of the small dataset."""
+    teachers = {}
 
     def run(job, state=None, save_seconds=math.inf):
-        return training.train(job, dataset, spec, CPU, state or tmp_path / "unused", save_seconds)
+        key = (job.method, job.seed)
+        if key not in teachers:
+            teachers[key] = teacher_of(job)
+        state = state or tmp_path / "unused"
+        return training.train(job, dataset, spec, CPU, state, save_seconds, teacher=teachers[key])
 
     return run
 

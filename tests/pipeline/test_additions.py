@@ -146,10 +146,9 @@ def parameters(workspace):
     return YAML(typ="safe").load((workspace.folder / "params.yaml").read_text())
 
 
-def add_cell(workspace, env, method, of):
-    workspace.set(
-        "cells", {**parameters(workspace)["cells"], f"{env}-{method}": {"env": env, "method": method, "of": of}}
-    )
+def add_cell(workspace, env, method, of, source=None):
+    cell = {"env": env, "method": method, "of": of, "source": source or f"data/play/{env}"}
+    workspace.set("cells", {**parameters(workspace)["cells"], f"{env}-{method}": cell})
 
 
 def changed(workspace):
@@ -217,3 +216,15 @@ def test_a_variant_is_parameters_alone(workspace):
     workspace.set("methods.c_beso_wide.train.block_push.model.depth", 3)
     done = workspace.run("dvc", "repro", check=False)
     assert "methods.c_beso_wide.train.block_push.model.depth = 3: unknown key" in done.stdout
+
+
+def test_a_student_follows_its_teacher(workspace):
+    student = ["train@block_push-c_beso_one_step", "evaluate@block_push-c_beso_one_step"]
+    workspace.set("methods.c_beso_one_step.train.block_push", {"optimization": {"steps": 31}})
+    assert [stage for stage in workspace.repro() if "@" in stage] == student
+    workspace.set("methods.c_beso.train.block_push.optimization.steps", 31)
+    ran = workspace.repro(student[1])
+    assert ran.index("train@block_push-c_beso") < ran.index(student[0]) < ran.index(student[1])
+    assert workspace.repro(student[1]) == []
+    text = (workspace.folder / "reports/tables.tex").read_text()
+    assert "C-BESO and its students in Block-Push: the same starts and noise in every row" in text

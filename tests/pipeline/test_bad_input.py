@@ -49,6 +49,21 @@ def test_wrong_type_through_dvc(workspace):
     assert workspace.repro() == []  # what the failed stage's start removed comes back from DVC's cache
 
 
+def test_a_teacher_of_other_parameters_or_data(workspace):
+    cell, models = ("train", "block_push", "c_beso_one_step"), "models/block_push/c_beso"
+    workspace.set("methods.c_beso.train.block_push.optimization.steps", 31)
+    line = stage(workspace, *cell)
+    assert line.startswith(
+        f"error: {models}/seed1.json is a checkpoint of another configuration: config.optimization.st"
+    )
+    workspace.set("methods.c_beso.train.block_push.optimization.steps", 30)
+    description = workspace.folder / models / "seed1.json"
+    description.write_text(description.read_text().replace('"data": "', '"data": "x'))
+    assert stage(workspace, *cell) == f"error: {models}, the teacher, was trained on other play data; train it again"
+    description.unlink()
+    assert stage(workspace, *cell) == f"error: {models}/seed1.json is missing: train this model first"
+
+
 def test_nan_in_a_dataset(workspace):
     folder = workspace.folder / DATA
     dataset = play.load(folder, spec("block_push"))

@@ -67,6 +67,8 @@ BLOCK_PUSH = ("environments", "block_push")
 TASKS = ("environments", "calvin", "evaluation", "tasks")
 MODEL = ("methods", "c_beso", "train", "block_push", "model", "transformer")
 SAMPLE = ("methods", "c_beso", "sample", "block_push")
+STUDENT = ("cells", "block_push-c_beso_one_step")
+DISTILLED = ("methods", "distilled", "train", "block_push", "model")
 OPTIMIZATION = ("methods", "gcbc", "train", "block_push", "optimization")
 
 
@@ -93,8 +95,12 @@ IMAGES = {
 }
 
 
-def cell(env, method, of=None):
+def film(env, method, of=None):
     return {"env": env, "method": method, "of": of or method}
+
+
+def cell(env, method, of=None, source=None):
+    return {**film(env, method, of), "source": source or f"data/play/{env}"}
 
 
 @pytest.mark.parametrize(
@@ -112,8 +118,24 @@ def cell(env, method, of=None):
         (("cells", "block_push-sac"), cell("block_push", "sac"), r"methods\.sac is missing: cells\.block_push-sac"),
         (("cells", "moon-gcbc"), cell("moon", "gcbc"), r"environments\.moon is missing: cells\.moon-gcbc"),
         (("cells", "other"), cell("block_push", "gcbc"), r"cells\.other: its name must be env and method .*-gcbc"),
+        (
+            (*STUDENT, "source"),
+            "models/kitchen/c_beso",
+            r"source = 'models/kitchen/c_beso': must be one of data/play/bl",
+        ),
+        (
+            (*STUDENT, "source"),
+            "models/block_push/c_beso_one_step",
+            r"one_step\.source = .*: must be one of data/play/b",
+        ),
+        ((*STUDENT, "source"), "models/block_push/gcbc", r"distilled: the teacher's transformer is None and the stud"),
+        ((*STUDENT, "source"), "models/block_push/c_beso_film", r"distilled: the teacher's transformer is .*'film'"),
+        ((*STUDENT, "source"), "data/play/block_push", r"source = 'data/play/block_push': distilled: needs a teach"),
+        (("cells", "block_push-gcbc", "source"), "models/block_push/c_beso", r"gcbc: learns from play data, not fr"),
+        ((*DISTILLED, "transformer", "width"), 32, r"one_step\.source = .*: distilled: the teacher's transformer"),
+        ((*DISTILLED, "steps"), 4, r"block_push\.model: teacher_steps = 3: must be at least steps = 4"),
         (("environments", "moon"), {}, r"environments\.moon\.seeds is missing"),
-        (("films", "block_push-gcbc"), cell("block_push", "ril"), r"films\.block_push-gcbc: is not among the cells"),
+        (("films", "block_push-gcbc"), film("block_push", "ril"), r"films\.block_push-gcbc: is not among the cells"),
         (("studies", "samplers_block_push", "vary"), {}, r"vary = {}: must name at least one parameter"),
         (("studies", "samplers_block_push", "vary"), {"sampler": "x"}, r"vary\.sampler = 'x': must be a list"),
         (("studies", "samplers_block_push", "vary"), {"speed": [1]}, r"samplers_block_push\.speed = 1: unknown"),

@@ -8,6 +8,7 @@ from beso import methods
 from beso.config import build
 from beso.errors import UserError
 from beso.noise import EpisodeNoise
+from tests.beso.conftest import TEACHERS
 from tests.beso.methods import SIZES, batch
 
 NAMES = methods.names()
@@ -19,7 +20,10 @@ def make(small_models):
         module, (model_values, sampling_values) = methods.load(name), small_models[name]
         config = build(module.Config, {**model_values, **(model or {})}, "model")
         chosen = build(module.Sampling, {**sampling_values, **(sampling or {})}, "sampling")
-        return module.Method(config, chosen, sizes, torch.Generator().manual_seed(seed)), config
+        method = module.Method(config, chosen, sizes, torch.Generator().manual_seed(seed))
+        if name in TEACHERS:
+            method.learn_from(make(TEACHERS[name], sizes, seed)[0].eval())
+        return method, config
 
     return make
 

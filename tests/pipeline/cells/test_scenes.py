@@ -10,7 +10,7 @@ from beso.envs.protocol import Outcome
 from pipeline import paths, profile
 from pipeline.cells import evaluation
 from pipeline.cells.evaluation import evaluate_cell
-from pipeline.params import Cell
+from pipeline.params import Film
 from pipeline.report import figures
 from pipeline.report.names import Names
 
@@ -44,7 +44,7 @@ def smoke(monkeypatch, tmp_path):
     room = smoke.environments["calvin"]
     config = dataclasses.replace(room.evaluation, rollouts=5, chunk=2, tasks=room.evaluation.tasks[:3])
     room = dataclasses.replace(room, seeds=(1, 2), evaluation=config)
-    films = {f"calvin-{method}": Cell("calvin", method, method) for method in ("gcbc", "c_beso")}
+    films = {f"calvin-{method}": Film("calvin", method, method) for method in ("gcbc", "c_beso")}
     machine = dataclasses.replace(smoke.machine, workers=1)
     cells = {name: cell for name, cell in smoke.cells.items() if cell.env == "calvin"}
     return dataclasses.replace(
