@@ -1,5 +1,6 @@
 """Tables of the studies: a row a sampling, with its difference to the first one."""
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from beso import envs
@@ -43,11 +44,11 @@ class Table(NamedTuple):
     rows: list[Row]
 
 
-def tables(params: Params) -> list[Table]:
-    """One table for each study. Scores are over the first goal set, the paper's."""
+def tables(params: Params, root: Path = Path()) -> list[Table]:
+    """One table for each study in a run's folder. Scores are over the first goal set, the paper's."""
     found, names = [], Names(params)
     for name, study in params.studies.items():
-        episodes = read_study(name)
+        episodes = read_study(root, name)
         episodes = episodes[episodes["goals"] == params.environments[study.env].evaluation.goals[0]]
         metrics = envs.report(study.env).METRICS
         parts = [(changes, rows_of(episodes, changes)) for changes, _ in params.samplings(name)]
