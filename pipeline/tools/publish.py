@@ -1,60 +1,308 @@
-"""`python -m pipeline.tools.publish` archives the finished run in reports/published/<profile>/.
+"""`python -m pipeline.tools.publish [NAME ...]` archives what is finished in reports/published/<profile>/.
 
-The folder holds what the numbers came from: parameters, versions, models, training curves, a row an episode, metrics,
-comparison, tables and figures.
+A NAME is a stage (`evaluate@block_push-c_beso`, `study@noise_block_push`, `fork`) or an environment, which stands for
+its finished cells and studies; without any, everything finished is meant: what DVC would not run again. What the
+archive has of other cells stays, if it was made with the same parameters and data, so that a long run can be archived
+in several sittings. Then tables, comparison, metrics and figures are made from all that the archive has, as the stage
+`tables` makes them.
+
+The folder is laid out as the repository, the report's files at its top. Beside the rows of each cell and study lies a
+record, `<name>.json`: its parameters, the digest of the play data, versions. Of play data there is a summary, of trials
+the first ones, and of weights those of the first seed where `--weights METHOD` asks for them, in half precision:
+
+    python -m pipeline.tools.publish --weights c_beso
+
+`python -m pipeline.watch ENV METHOD --run FOLDER` films these. `--drop NAME` takes a cell, study or `fork` out.
 """
 
+import argparse
 import json
 import shutil
-import subprocess
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import safetensors.torch
+import torch
+
+from beso import checkpoint, envs, trials
+from beso.data import play
 from beso.errors import UserError
-from beso.files import replacing, write_json
+from beso.files import read_json, replacing, sha256, write_json, write_text
+from beso.images import encoder
 from pipeline import paths
-from pipeline.params import PATH, Params, load
+from pipeline.params import PATH, Params, load, read_yaml
+from pipeline.profile import leaves
+from pipeline.report.gather import SUMMARY, summary
 from pipeline.report.page import versions
-from pipeline.stage import run
+from pipeline.report.write import write_tables
+from pipeline.run import plan
+from pipeline.stage import guard
 
 FOLDER = paths.REPORTS / "published"
+LARGEST = 2_000_000  # bytes of the weights of one cell, with its encoder: git keeps every version for ever
 
 
-def main() -> None:
-    params = load()
-    _check()
-    folder = FOLDER / params.profile
-    with replacing(folder) as temporary:
-        for path in _contents(params):
-            if not path.exists():
-                raise UserError(f"{path} is missing: run `dvc repro` first")
-            target = temporary / (path.relative_to(paths.REPORTS) if path.is_relative_to(paths.REPORTS) else path)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            if path.is_dir():
-                shutil.copytree(path, target)
-            else:
-                shutil.copyfile(path, target)
-        write_json(temporary / "environment.json", versions())
-    print(f"archived in {folder}")
+@dataclass(frozen=True)
+class Part:
+    """What can be archived by itself: a cell, a study, or the fork.
+
+    Attributes:
+        stage: its address in dvc.yaml.
+        rows: the file of its rows.
+        keys: of the parameters that its rows depend on, dotted.
+        cell: name of the cell, which for a study is the one that is sampled; None for the fork.
+        env, method: of the cell.
+    """
+
+    stage: str
+    rows: Path
+    keys: tuple[str, ...]
+    cell: str | None = None
+    env: str = ""
+    method: str = ""
+
+    @property
+    def is_cell(self) -> bool:
+        """Whether it is a cell, not a study of one."""
+        return self.stage == f"evaluate@{self.cell}"
+
+    @property
+    def record(self) -> Path:
+        """The file beside its rows."""
+        return self.rows.with_suffix(".json")
 
 
-def _check() -> None:
-    """What lies on disk must come from these parameters.
+def parts(params: Params) -> dict[str, Part]:
+    """All that a run of these parameters can archive, by stage, in the order of the parameters."""
+    found: dict[str, Part] = {}
+    keys_of: dict[str, tuple[str, ...]] = {}
+    for name, cell in params.cells.items():
+        methods = dict.fromkeys((cell.of, cell.method))
+        own = [f"methods.{m}.{use}.{cell.env}" for m in methods for use in ("train", "sample")]
+        keys_of[name] = ("seed", f"environments.{cell.env}", f"images.{cell.env}", *own)
+        rows = paths.episodes(cell.env, cell.method)
+        found[f"evaluate@{name}"] = Part(f"evaluate@{name}", rows, keys_of[name], name, cell.env, cell.method)
+    for name, study in params.studies.items():
+        cell_name = f"{study.env}-{study.method}"
+        keys = (*keys_of[cell_name], f"studies.{name}")
+        found[f"study@{name}"] = Part(f"study@{name}", paths.study(name), keys, cell_name, study.env, study.method)
+    found["fork"] = Part("fork", paths.FORK, ("seed", "fork"))
+    return found
+
+
+def parameters(values: Any, keys: Iterable[str]) -> dict[str, Any]:
+    """The leaves below some keys of params.yaml; keys that are not there have none."""
+    found: dict[str, Any] = {}
+    for key in keys:
+        inner = values
+        for name in key.split("."):
+            inner = inner.get(name) if isinstance(inner, dict) else None
+        if inner is not None:
+            found |= dict(leaves(inner, key))
+    return json.loads(json.dumps(found))  # as a record has them
+
+
+def choose(available: dict[str, Part], names: list[str]) -> list[Part]:
+    """The finished parts among those named, or all finished ones.
 
     Raises:
-        UserError: `dvc repro tables` would still run something.
+        UserError: an unknown name, or nothing finished of it.
     """
-    command = ["dvc", "status", "--json", "--with-deps", "tables"]
-    status = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    if stages := json.loads(status):
-        raise UserError(f"{', '.join(stages)} out of date: run `dvc repro tables` first, then publish")
+    named = {name: [p for p in available.values() if name in (p.stage, p.env)] for name in names}
+    for name, of_name in named.items():
+        if not of_name:
+            raise UserError(f"{name!r} is neither an environment nor one of {', '.join(available)}")
+    wanted = {p.stage: p for of_name in named.values() for p in of_name} if names else available
+    stale = plan(list(wanted))[0]
+    for name, of_name in named.items():
+        if all(p.stage in stale for p in of_name):
+            raise UserError(
+                f"{name} is not finished: run `python -m pipeline.run {' '.join(p.stage for p in of_name)}`"
+            )
+    return [p for p in wanted.values() if p.stage not in stale]
 
 
-def _contents(params: Params) -> list[Path]:
-    kinds = (paths.models, paths.curve, paths.episodes)
-    reports = [paths.REPORTS / name for name in ("tables.tex", "comparison.csv", "metrics.json", "figures")]
-    cells = [kind(cell.env, cell.method) for cell in params.cells.values() for kind in kinds]
-    return [PATH, *reports, *cells, *(paths.study(name) for name in params.studies)]
+def held(folder: Path, available: dict[str, Part]) -> list[Part]:
+    """The parts that an archive has.
+
+    Raises:
+        UserError: it has rows without a record, or of what params.yaml does not have.
+    """
+    rows = {path.relative_to(folder): path for path in folder.glob("results/*/*.csv") if path.parent.name != "probe"}
+    of_rows = {part.rows: part for part in available.values()}
+    for name, path in rows.items():
+        if not path.with_suffix(".json").is_file():
+            raise UserError(f"{folder} was archived by an older version: remove it (`git rm -r {folder}`) first")
+        if name not in of_rows:
+            raise UserError(f"{folder / name} is of no cell or study in {PATH}: remove it and its .json first")
+    return [part for part in available.values() if (folder / part.record).is_file()]
+
+
+def check(part: Part, folder: Path, wanted: dict[str, Any]) -> None:
+    """Compare the record of an archived part with what it is to stand beside.
+
+    Raises:
+        UserError: naming the first difference.
+    """
+    record = read_json(folder / part.record)
+    for kind, expected in wanted.items():
+        found = record.get(kind)
+        if found == expected:
+            continue
+        difference = f"{kind} {found!r} there and {expected!r} here"
+        if isinstance(found, dict):
+            missing = "nothing"
+            key = next(k for k in sorted({*found, *expected}) if found.get(k, missing) != expected.get(k, missing))
+            difference = f"{key} is {found.get(key, missing)!r} there and {expected.get(key, missing)!r} here"
+        raise UserError(
+            f"{folder} has {part.stage} of other {kind}: {difference}; archive it anew, or drop it:"
+            f" `python -m pipeline.tools.publish --drop {part.stage}`"
+        )
+
+
+def drop(part: Part, folder: Path) -> None:
+    """Take a part out of an archive's folder."""
+    (folder / part.rows).unlink(missing_ok=True)
+    (folder / part.record).unlink(missing_ok=True)
+    if part.is_cell:
+        shutil.rmtree(folder / paths.models(part.env, part.method), ignore_errors=True)
+        (folder / paths.curve(part.env, part.method)).unlink(missing_ok=True)
+        (folder / paths.scenes(part.env, part.method)).unlink(missing_ok=True)
+
+
+def add(part: Part, params: Params, folder: Path, record: dict[str, Any], with_weights: bool) -> None:
+    """Copy a finished part into an archive's folder, in place of what it has of it."""
+    drop(part, folder)
+    _copy(part.rows, folder)
+    if part.is_cell:
+        _copy(paths.curve(part.env, part.method), folder)
+        if part.cell in params.films and params.environments[part.env].evaluation.tasks:
+            _copy(paths.scenes(part.env, part.method), folder)
+        models = paths.models(part.env, part.method)
+        seeds = params.environments[part.env].seeds
+        for seed in seeds:
+            _copy(checkpoint.paths(models, seed)[1], folder)
+        if with_weights:
+            weights = checkpoint.paths(models, seeds[0])[0]
+            halve(weights, folder / weights)
+    write_json(folder / part.record, record)
+
+
+def add_environment(params: Params, environment: str, folder: Path) -> None:
+    """Write into an archive's folder what its cells of an environment share."""
+    target = folder / paths.play(environment)
+    shutil.rmtree(target, ignore_errors=True)
+    write_text(target / SUMMARY, json.dumps(summary(Path(), environment)) + "\n")
+    settings = params.environments[environment]
+    first = (settings.evaluation.goals[0], settings.seeds[0])
+    made = trials.load(paths.trials(environment))
+    trials.save({first: made[first][: settings.evaluation.chunk]}, folder / paths.trials(environment))
+    if environment in params.images:
+        _copy(paths.samples(environment), folder)
+        _copy(paths.probe(environment), folder)
+        halve(paths.play(environment) / encoder.WEIGHTS, target / encoder.WEIGHTS)
+        description = read_json(paths.play(environment) / encoder.DESCRIPTION)
+        write_json(target / encoder.DESCRIPTION, description | {"sha256": sha256(target / encoder.WEIGHTS)})
+
+
+def halve(weights: Path, target: Path) -> None:
+    """Write weights in half precision, which loading turns back; what half precision cannot hold stays as it is."""
+    tensors = safetensors.torch.load_file(weights)
+    halves = {name: value.half() if value.dtype == torch.float32 else value for name, value in tensors.items()}
+    kept = {name: half if half.isfinite().all() else tensors[name] for name, half in halves.items()}
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(target) as temporary:
+        temporary.write_bytes(safetensors.torch.save(kept))
+
+
+def limit_weights(folder: Path) -> None:
+    """Remove weights that are too large for git, and encoders without weights to go with; say so."""
+    for environment in (path.name for path in (folder / "data/play").glob("*")):
+        encoders = folder / paths.play(environment) / encoder.WEIGHTS
+        size = encoders.stat().st_size if encoders.is_file() else 0
+        kept = sorted((folder / "models" / environment).glob("*/*.safetensors"))
+        for weights in [*kept]:
+            if (whole := weights.stat().st_size + size) > LARGEST:
+                of = f"{environment} {weights.parent.name}"
+                print(f"weights of {of} are left out: {whole:,} bytes with their encoder, at most {LARGEST:,} are kept")
+                weights.unlink()
+                kept.remove(weights)
+        if size and not kept:
+            encoders.unlink()
+
+
+def restricted(params: Params, there: list[Part]) -> Params:
+    """The parameters of a run that has these parts alone."""
+    cells = {name: cell for name, cell in params.cells.items() if any(p.is_cell and p.cell == name for p in there)}
+    stages = {part.stage for part in there}
+    for part in there:
+        if part.cell and part.cell not in cells:
+            raise UserError(f"{part.stage} is of cell {part.cell}, which is not archived: add evaluate@{part.cell}")
+    return replace(
+        params,
+        cells=cells,
+        studies={name: study for name, study in params.studies.items() if f"study@{name}" in stages},
+        films={name: cell for name, cell in params.films.items() if name in cells},
+        fork=params.fork if "fork" in stages else replace(params.fork, methods={}),
+    )
+
+
+def _copy(path: Path, folder: Path) -> None:
+    target = folder / path
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(path, target)
+
+
+def main(*arguments: str) -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m pipeline.tools.publish", description="archive what is finished of this run"
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help="a stage or an environment (default: all finished)")
+    parser.add_argument("--weights", nargs="+", default=[], metavar="METHOD", help="keep weights of these methods")
+    parser.add_argument("--drop", nargs="+", default=[], metavar="STAGE", help="take these out, and add nothing")
+    options = parser.parse_args(arguments)
+    params, values = load(), read_yaml(PATH)
+    available, folder = parts(params), FOLDER / params.profile
+    for method in options.weights:
+        if method not in params.methods:
+            raise UserError(f"--weights {method}: {PATH} has the methods {', '.join(params.methods)}")
+    before = held(folder, available)
+    for stage in options.drop:
+        if stage not in [part.stage for part in before]:
+            raise UserError(f"--drop {stage}: {folder} has {', '.join(part.stage for part in before) or 'nothing'}")
+    new = [] if options.drop else choose(available, options.names)
+    stay = [part for part in before if part.stage not in {*options.drop, *(p.stage for p in new)}]
+    there = [part for part in available.values() if part in new or part in stay]
+    if not there:
+        raise UserError(
+            f"nothing of profile {params.profile} is finished or archived: run `python -m pipeline.run` first"
+        )
+    shown = restricted(params, there)
+    environments = dict.fromkeys(part.env for part in new if part.env)
+    digests = {env: play.data_digest(play.load(paths.play(env), envs.spec(env))) for env in environments}
+    slices = {part: parameters(values, part.keys) for part in there}
+    for part in stay:
+        data = {"data": digests[part.env]} if part.env in digests else {}
+        check(part, folder, {"parameters": slices[part], **data})
+    with replacing(folder) as temporary:
+        if folder.is_dir():
+            shutil.copytree(folder, temporary)
+        for stage in options.drop:
+            drop(available[stage], temporary)
+        for part in new:
+            record = {"parameters": slices[part], "data": digests.get(part.env), "versions": versions()}
+            kept = any((folder / paths.models(part.env, part.method)).glob("*.safetensors"))
+            add(part, params, temporary, record, kept or part.method in options.weights)
+        for environment in environments:
+            add_environment(params, environment, temporary)
+        limit_weights(temporary)
+        _copy(PATH, temporary)
+        write_tables(shown, temporary, temporary)
+    print(f"{folder}: {len(new)} cells and studies archived, {len(stay)} stay as they were")
 
 
 if __name__ == "__main__":
-    run(main)
+    guard(main, *sys.argv[1:])
