@@ -12,7 +12,7 @@ the first ones, and of weights those of the first seed where `--weights METHOD` 
 
     python -m pipeline.tools.publish --weights c_beso
 
-`python -m pipeline.watch ENV METHOD --run FOLDER` films these. `--drop NAME` takes a cell, study or `fork` out.
+`python -m pipeline.watch ENV METHOD --run FOLDER` films these. `--drop NAME` takes out a stage, or all of an environment.
 """
 
 import argparse
@@ -42,7 +42,7 @@ from pipeline.run import plan
 from pipeline.stage import guard
 
 FOLDER = paths.REPORTS / "published"
-LARGEST = 2_000_000  # bytes of the weights of one cell, with its encoder: git keeps every version for ever
+LARGEST = 2_000_000  # bytes of a file of weights: git keeps every version for ever
 
 
 @dataclass(frozen=True)
@@ -191,10 +191,18 @@ def add(part: Part, params: Params, folder: Path, record: dict[str, Any], with_w
     write_json(folder / part.record, record)
 
 
+def drop_environment(environment: str, folder: Path) -> None:
+    """Take what the cells of an environment share out of an archive's folder."""
+    for path in (paths.play(environment), paths.trials(environment)):
+        shutil.rmtree(folder / path, ignore_errors=True)
+    for path in (paths.samples(environment), paths.probe(environment)):
+        (folder / path).unlink(missing_ok=True)
+
+
 def add_environment(params: Params, environment: str, folder: Path) -> None:
     """Write into an archive's folder what its cells of an environment share."""
+    drop_environment(environment, folder)
     target = folder / paths.play(environment)
-    shutil.rmtree(target, ignore_errors=True)
     write_text(target / SUMMARY, json.dumps(summary(Path(), environment)) + "\n")
     settings = params.environments[environment]
     first = (settings.evaluation.goals[0], settings.seeds[0])
@@ -219,19 +227,17 @@ def halve(weights: Path, target: Path) -> None:
 
 
 def limit_weights(folder: Path) -> None:
-    """Remove weights that are too large for git, and encoders without weights to go with; say so."""
-    for environment in (path.name for path in (folder / "data/play").glob("*")):
-        encoders = folder / paths.play(environment) / encoder.WEIGHTS
-        size = encoders.stat().st_size if encoders.is_file() else 0
-        kept = sorted((folder / "models" / environment).glob("*/*.safetensors"))
-        for weights in [*kept]:
-            if (whole := weights.stat().st_size + size) > LARGEST:
-                of = f"{environment} {weights.parent.name}"
-                print(f"weights of {of} are left out: {whole:,} bytes with their encoder, at most {LARGEST:,} are kept")
-                weights.unlink()
-                kept.remove(weights)
-        if size and not kept:
-            encoders.unlink()
+    """Remove weights that are too large for git, or whose encoder is, and say so; and encoders of no policy."""
+    for weights in sorted(folder.glob("models/*/*/*.safetensors")):
+        environment, method = weights.parts[-3:-1]
+        files = (weights, folder / paths.play(environment) / encoder.WEIGHTS)
+        if too_large := [path for path in files if path.is_file() and path.stat().st_size > LARGEST]:
+            name, size = too_large[0].relative_to(folder), too_large[0].stat().st_size
+            print(f"weights of {environment} {method} are left out: {name} has {size:,} bytes, more than {LARGEST:,}")
+            weights.unlink()
+    for weights in folder.glob(f"data/play/*/{encoder.WEIGHTS}"):
+        if not any((folder / "models" / weights.parent.name).glob("*/*.safetensors")):
+            weights.unlink()
 
 
 def restricted(params: Params, there: list[Part]) -> Params:
@@ -256,52 +262,63 @@ def _copy(path: Path, folder: Path) -> None:
     shutil.copyfile(path, target)
 
 
+def write(folder: Path, params: Params, there: list[Part], new: list[Part], weights_of: list[str]) -> None:
+    """Write an archive that has some parts, the new ones from the run and the others as it had them.
+
+    Args:
+        weights_of: methods whose weights are to be kept.
+    """
+    shown, values = restricted(params, there), read_yaml(PATH)
+    environments = dict.fromkeys(part.env for part in new if part.env)
+    digests = {env: play.data_digest(play.load(paths.play(env), envs.spec(env))) for env in environments}
+    slices = {part: parameters(values, part.keys) for part in there}
+    for part in there:
+        if part not in new:
+            data = {"data": digests[part.env]} if part.env in digests else {}
+            check(part, folder, {"parameters": slices[part], **data})
+    with replacing(folder) as temporary:
+        if folder.is_dir():
+            shutil.copytree(folder, temporary)
+        for part in parts(params).values():
+            if part not in there:
+                drop(part, temporary)
+        for environment in set(params.envs) - set(shown.envs):
+            drop_environment(environment, temporary)
+        for part in new:
+            record = {"parameters": slices[part], "data": digests.get(part.env), "versions": versions()}
+            kept = any((folder / paths.models(part.env, part.method)).glob("*.safetensors"))
+            add(part, params, temporary, record, kept or part.method in weights_of)
+        for environment in environments:
+            add_environment(params, environment, temporary)
+        limit_weights(temporary)
+        _copy(PATH, temporary)
+        write_tables(shown, temporary, temporary)
+
+
 def main(*arguments: str) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m pipeline.tools.publish", description="archive what is finished of this run"
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="a stage or an environment (default: all finished)")
     parser.add_argument("--weights", nargs="+", default=[], metavar="METHOD", help="keep weights of these methods")
-    parser.add_argument("--drop", nargs="+", default=[], metavar="STAGE", help="take these out, and add nothing")
+    parser.add_argument("--drop", nargs="+", default=[], metavar="NAME", help="take these out, and add nothing")
     options = parser.parse_args(arguments)
-    params, values = load(), read_yaml(PATH)
+    params = load()
     available, folder = parts(params), FOLDER / params.profile
     for method in options.weights:
         if method not in params.methods:
             raise UserError(f"--weights {method}: {PATH} has the methods {', '.join(params.methods)}")
     before = held(folder, available)
-    for stage in options.drop:
-        if stage not in [part.stage for part in before]:
-            raise UserError(f"--drop {stage}: {folder} has {', '.join(part.stage for part in before) or 'nothing'}")
+    for name in options.drop:
+        if not any(name in (part.stage, part.env) for part in before):
+            raise UserError(f"--drop {name}: {folder} has {', '.join(part.stage for part in before) or 'nothing'}")
+    stay = [part for part in before if not {part.stage, part.env} & {*options.drop}]
     new = [] if options.drop else choose(available, options.names)
-    stay = [part for part in before if part.stage not in {*options.drop, *(p.stage for p in new)}]
     there = [part for part in available.values() if part in new or part in stay]
-    if not there:
-        raise UserError(
-            f"nothing of profile {params.profile} is finished or archived: run `python -m pipeline.run` first"
-        )
-    shown = restricted(params, there)
-    environments = dict.fromkeys(part.env for part in new if part.env)
-    digests = {env: play.data_digest(play.load(paths.play(env), envs.spec(env))) for env in environments}
-    slices = {part: parameters(values, part.keys) for part in there}
-    for part in stay:
-        data = {"data": digests[part.env]} if part.env in digests else {}
-        check(part, folder, {"parameters": slices[part], **data})
-    with replacing(folder) as temporary:
-        if folder.is_dir():
-            shutil.copytree(folder, temporary)
-        for stage in options.drop:
-            drop(available[stage], temporary)
-        for part in new:
-            record = {"parameters": slices[part], "data": digests.get(part.env), "versions": versions()}
-            kept = any((folder / paths.models(part.env, part.method)).glob("*.safetensors"))
-            add(part, params, temporary, record, kept or part.method in options.weights)
-        for environment in environments:
-            add_environment(params, environment, temporary)
-        limit_weights(temporary)
-        _copy(PATH, temporary)
-        write_tables(shown, temporary, temporary)
-    print(f"{folder}: {len(new)} cells and studies archived, {len(stay)} stay as they were")
+    if not any(part.is_cell for part in there):
+        raise UserError(f"no cell of profile {params.profile} is finished or archived: run `python -m pipeline.run`")
+    write(folder, params, there, new, options.weights)
+    print(f"{folder}: {len(new)} cells and studies archived, {len(there) - len(new)} stay as they were")
 
 
 if __name__ == "__main__":
