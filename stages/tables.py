@@ -1,20 +1,15 @@
 """Tables, comparison, metrics and figures from evaluation rows."""
 
-from beso.files import write_json, write_text
+from pathlib import Path
+
 from pipeline import paths
 from pipeline.params import load
-from pipeline.report import figures, hyperparameters, metrics, tables
-from pipeline.report.gather import gather
+from pipeline.report.write import write_tables
 from pipeline.stage import run
 
 
 def main() -> None:
-    params = load()
-    values = gather(params) | {"hyperparameters": hyperparameters.tables(params)}
-    values["captions"] = figures.draw_all(params, values, paths.REPORTS / "figures")
-    write_text(paths.REPORTS / "tables.tex", tables.render("tables.tex.j2", values))
-    write_text(paths.REPORTS / "comparison.csv", values["comparison"].to_csv(index=False, float_format="%.6g"))
-    write_json(paths.REPORTS / "metrics.json", metrics.metrics(values))
+    write_tables(load(), Path(), paths.REPORTS)
 
 
 if __name__ == "__main__":

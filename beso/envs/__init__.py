@@ -6,7 +6,7 @@
     <name>/demonstrations/published.py  load(folder): published play data
     <name>/trials.py                    make(request): the episodes that policies are evaluated on (beso.envs.protocol)
     <name>/evaluation.py                how these episodes are played and scored
-    <name>/report.py                    what only the report must know: names, metrics, published statistics
+    <name>/report.py                    what only the report must know (beso.envs.reporting)
 
 A spec may also have SINGLE_TASKS, those that a trial can ask for by itself; which of them trials ask for is then a
 parameter (`evaluation.tasks`). An environment that sees images has, instead of `record` and `published.py`,
@@ -30,7 +30,8 @@ from beso.errors import UserError
 
 if TYPE_CHECKING:
     from beso.data.spec import PlaySpec
-    from beso.envs.protocol import Evaluation, Importer, Raw, Recorder, Recording, Report, TrialMaker
+    from beso.envs.protocol import Evaluation, Importer, Raw, Recorder, Recording, TrialMaker
+    from beso.envs.reporting import Report
     from beso.images.probe import Target
 
 

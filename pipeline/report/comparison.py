@@ -18,7 +18,6 @@ import numpy as np
 import pandas as pd
 
 from beso import envs
-from beso.data import play
 from beso.errors import UserError
 from pipeline import paths
 from pipeline.params import Params
@@ -63,14 +62,14 @@ def read_rows(path: Path, stage: str) -> pd.DataFrame:
     return pd.read_csv(path, dtype={"tasks": str, "goal_tasks": str})
 
 
-def read_episodes(environment: str, method: str) -> pd.DataFrame:
-    """The evaluation rows of one cell. Raises UserError as `read_rows` does."""
-    return read_rows(paths.episodes(environment, method), f"evaluate@{environment}-{method}")
+def read_episodes(root: Path, environment: str, method: str) -> pd.DataFrame:
+    """The evaluation rows of one cell in a run's folder. Raises UserError as `read_rows` does."""
+    return read_rows(root / paths.episodes(environment, method), f"evaluate@{environment}-{method}")
 
 
-def read_study(name: str) -> pd.DataFrame:
-    """The rows of one study. Raises UserError as `read_rows` does."""
-    return read_rows(paths.study(name), f"study@{name}")
+def read_study(root: Path, name: str) -> pd.DataFrame:
+    """The rows of one study in a run's folder. Raises UserError as `read_rows` does."""
+    return read_rows(root / paths.study(name), f"study@{name}")
 
 
 def rows_of(rows: pd.DataFrame, changes: dict[str, Any]) -> pd.DataFrame:
@@ -80,9 +79,9 @@ def rows_of(rows: pd.DataFrame, changes: dict[str, Any]) -> pd.DataFrame:
     return rows
 
 
-def source(dataset: play.PlayDataset) -> str:
-    """Where play data came from, in words that can stand in a caption."""
-    return {"scripted": "scripted demonstrations made here"}.get(dataset.meta["source"], dataset.meta["source"])
+def source(of: str) -> str:
+    """Where play data came from (`source` of their meta.json), in words that can stand in a caption."""
+    return {"scripted": "scripted demonstrations made here"}.get(of, of)
 
 
 class Measured(NamedTuple):
@@ -92,19 +91,20 @@ class Measured(NamedTuple):
     rows: pd.DataFrame
 
 
-def compare(params: Params, sources: dict[str, str]) -> pd.DataFrame:
+def compare(params: Params, sources: dict[str, str], root: Path = Path()) -> pd.DataFrame:
     """One row for each number of the paper, in its order, then one for each of ours that the paper does not have.
 
     Args:
+        root: the run's folder.
         sources: where each environment's play data came from, in words (see `source`).
 
     The 95 % interval of the difference joins ours (pipeline.report.statistics) and Student's of the paper's mean and
     std; the paper's std also stands for the spread between seeds where we have one seed. A number of the paper without
     a std counts as exact.
     """
-    cells = _cells(params)
+    cells = _cells(params, root)
     named = dict(places()[["label", "name"]].itertuples(index=False))
-    known: dict[str, pd.DataFrame] = {}
+    known = {name: read_study(root, name) for name in params.studies}
     rows, beside = [], set()
     for number in paper_numbers().itertuples():
         key = (number.environment, number.metric, number.method, number.goals)
@@ -137,11 +137,11 @@ def of_cells(comparison: pd.DataFrame) -> pd.DataFrame:
 Key = tuple[str, str, str, str]  # environment, metric, method, goal set
 
 
-def _cells(params: Params) -> dict[Key, Measured]:
+def _cells(params: Params, root: Path) -> dict[Key, Measured]:
     """Every number of the run's cells, in the order of a table."""
     found: dict[Key, Measured] = {}
     for environment in params.envs:
-        played = {method: read_episodes(environment, method) for method in params.methods_in(environment)}
+        played = {method: read_episodes(root, environment, method) for method in params.methods_in(environment)}
         for metric in envs.report(environment).METRICS:
             for method, episodes in played.items():
                 for goals in params.environments[environment].evaluation.goals:
@@ -160,8 +160,6 @@ def _of_study(params: Params, known: dict[str, pd.DataFrame], name: str, number:
     samplings = [changes for changes, _ in params.samplings(name) if _among(changes, wanted)]
     if metric is None or len(samplings) < math.prod(map(len, wanted.values())):
         return None
-    if name not in known:
-        known[name] = read_study(name)
     rows = known[name][known[name]["goals"] == number.goals]
     rows = pd.concat([rows_of(rows, changes) for changes in samplings])
     rows = rows.groupby(PAIRS, sort=False, as_index=False)[[metric.name]].mean()

@@ -13,6 +13,7 @@ import matplotlib.image
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from beso import envs
 from beso.data.play import read_npy
@@ -26,14 +27,9 @@ from pipeline.report import studies
 from pipeline.report.comparison import of_cells, rows_of
 from pipeline.report.names import Names
 
-BLUE, ORANGE, GREEN, _, RED, LIGHT_BLUE = METHOD_COLOURS[:6]
+BLUE, ORANGE, GREEN, _, _, LIGHT_BLUE = METHOD_COLOURS[:6]
 COLOURS = {"ours": BLUE, "held_out": LIGHT_BLUE, "paper": ORANGE}
-MARKS = {  # by verdict
-    "better": ("^", BLUE),
-    "same": ("s", GREEN),
-    "worse": ("v", RED),
-    "cannot tell": ("o", "#888888"),
-}
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")  # of methods, so that colour is not all
 STYLE = {"font.size": 8, "axes.spines.top": False, "axes.spines.right": False, "pdf.fonttype": 42, "savefig.dpi": 200}
 
 
@@ -68,10 +64,10 @@ def draw_all(params: Params, values: dict[str, Any], folder: Path) -> dict[str, 
 
 def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
     """Every figure, one after another."""
-    names, comparison = values["names"], values["comparison"]
+    names, comparison, root = values["names"], values["comparison"], values["root"]
     caption = (
-        "Every number that this run and the paper both have, as a share of the largest possible one. On the line, both"
-        " agree; bars are 95 % intervals of ours, the paper's are standard deviations."
+        "Every number that this run and the paper both have, as a share of the largest possible one; small and hollow:"
+        " of studies. On the line, both agree; bars are 95 % intervals of ours, the paper's are standard deviations."
     )
     yield Drawing("overview", caption, overview(comparison, names))
     for name, title in names.environments.items():
@@ -79,55 +75,65 @@ def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
         beside = " beside the paper's" if of_cells(part)["paper"].notna().any() else ""
         caption = f"{title}: scores{beside}; lines are one standard deviation over seeds."
         yield Drawing(f"scores_{name}", caption, scores(params, part, names, name))
-        yield from envs.report(name).drawings(values["datasets"][name], values["episodes"][name])
+        yield from envs.report(name).drawings(values["play"][name], values["episodes"][name])
         caption = f"{title}: held-out loss over its first measurement, a line a seed."
-        yield Drawing(f"training_{name}", caption, training_curves(params, names, name))
+        yield Drawing(f"training_{name}", caption, training_curves(params, names, name, root))
         if name in params.images:
-            if drawn := goals(params, names, name, values["episodes"][name]):
+            if drawn := goals(params, names, name, values["episodes"][name], root):
                 yield drawn
             data, size = values["sources"][name], params.images[name].preprocess.size
             caption = (
                 f"{title}: frames of the play data ({data}), from the first to the last, as the encoder gets them after"
                 f" preprocessing: {size} by {size} pixels."
             )
-            yield Drawing(f"samples_{name}", caption, samples(paths.samples(name)))
+            yield Drawing(f"samples_{name}", caption, samples(root / paths.samples(name)))
             caption = (
                 f"{title}: what a linear regression tells of the scene from the encoder's features of one frame, on"
                 f" held-out episodes of the play data ({data}). Left: how often it is right about what has two states;"
                 " right: its error about places and sizes, lower is better. Beside it, the same from an encoder with"
                 " random weights and from the simulator's state itself; black lines: the best constant answer."
             )
-            yield Drawing(f"probe_{name}", caption, probe(pd.read_csv(paths.probe(name))))
+            yield Drawing(f"probe_{name}", caption, probe(pd.read_csv(root / paths.probe(name))))
     for table in values["studies"]:
         caption = f"{table.title}; bars are 95 % intervals, diamonds the paper's numbers where it has them."
         yield Drawing(f"study_{table.name}", caption, study(table, comparison))
-    caption = "The fork, a toy: one state with two right actions, and the actions each method draws from it."
-    yield Drawing("fork", caption, fork_samples(params, names))
+    if params.fork.methods:
+        caption = "The fork, a toy: one state with two right actions, and the actions each method draws from it."
+        yield Drawing("fork", caption, fork_samples(params, names, pd.read_csv(root / paths.FORK)))
 
 
 def overview(comparison: pd.DataFrame, names: Names) -> Figure:
-    """Ours over the paper's, a panel an environment."""
-    both = comparison[comparison["verdict"].notna() & comparison["ours"].notna()]
-    environments = [name for name in names.environments if name in set(both["environment"])]
-    figure = Figure(figsize=(1 + 2.6 * max(1, len(environments)), 3), layout="constrained")
-    axes = figure.subplots(1, max(1, len(environments)), squeeze=False)[0]
-    for axis, environment in zip(axes, environments, strict=False):
-        largest = {metric.name: metric.maximum for metric in envs.report(environment).METRICS}
-        part = both[both["environment"] == environment]
-        part = part[part["metric"].isin(largest)]
-        scale = part["metric"].map(largest)
+    """Ours over the paper's, as shares of the largest possible value: a panel an environment and metric."""
+    both = comparison[comparison["paper"].notna() & comparison["ours"].notna()]
+    shown = [
+        (environment, metric, part)
+        for environment in names.environments
+        for metric in envs.report(environment).METRICS
+        if len(part := both[(both["environment"] == environment) & (both["metric"] == metric.name)])
+    ]
+    figure, grid = panels(max(1, len(shown)), 0.7, 1.6)
+    styles = dict(zip(names.methods, zip(MARKERS, reversed(METHOD_COLOURS), strict=True), strict=False))
+    top = 1.08 + max([0.0, *(part["ours_high"].max() / metric.maximum - 1 for _, metric, part in shown)])
+    for axis, (environment, metric, part) in zip(grid, shown, strict=False):
         axis.plot([0, 1], [0, 1], color="0.7", linewidth=1, zorder=0)
-        for verdict, (marker, colour) in MARKS.items():
-            here = part["verdict"] == verdict
-            x, y, low, high, spread = (
-                (part[column] / scale)[here] for column in ("paper", "ours", "ours_low", "ours_high", "paper_std")
-            )
-            bars = {"yerr": (y - low, high - y), "xerr": spread.fillna(0), "elinewidth": 0.5, "alpha": 0.8}
-            axis.errorbar(x, y, **bars, linestyle="none", marker=marker, color=colour, markersize=4, label=verdict)
-        top = 0.05 + max(1.0, (part["ours"] / scale).max(), (part["paper"] / scale).max())  # scores may exceed 1
-        axis.set(xlim=(-0.05, top), ylim=(-0.05, top), aspect="equal", xlabel="paper", ylabel="ours")
-        axis.set_title(names.environments[environment])
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(MARKS), frameon=False)
+        for method, (marker, colour) in styles.items():
+            for of_study in (True, False):  # cells above studies
+                rows = part[(part["method"] == method) & (part["study"].notna() == of_study)]
+                columns = ("paper", "ours", "ours_low", "ours_high", "paper_std")
+                x, y, low, high, spread = (rows[column] / metric.maximum for column in columns)
+                style: dict[str, Any] = {"markersize": 3, "fillstyle": "none"} if of_study else {"markersize": 5}
+                style |= {"linestyle": "none", "elinewidth": 0.4 if of_study else 0.9, "markeredgewidth": 0.4}
+                bars = {"yerr": (y - low, high - y), "xerr": spread.fillna(0)}
+                axis.errorbar(x, y, **bars, marker=marker, color=colour, markeredgecolor="black", **style)
+        axis.set(xlim=(-0.08, top), ylim=(-0.08, top), aspect="equal", xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
+        axis.set_title(f"{names.environments[environment]},\n{metric.label}")
+    drawn = [method for method in styles if method in set(both["method"])]
+    look: dict[str, Any] = {"linestyle": "none", "markersize": 5, "markeredgewidth": 0.4, "markeredgecolor": "black"}
+    keys = [Line2D([], [], marker=styles[method][0], color=styles[method][1], **look) for method in drawn]
+    figure.legend(keys, [names.methods[method] for method in drawn], loc="outside lower center", ncols=8, frameon=False)
+    for axis in grid:
+        axis.set_xlabel("paper")
+    grid[0].set_ylabel("ours")
     return figure
 
 
@@ -217,7 +223,7 @@ def samples(path: Path) -> Figure:
     return figure
 
 
-def goals(params: Params, names: Names, environment: str, episodes: Episodes) -> Drawing | None:
+def goals(params: Params, names: Names, environment: str, episodes: Episodes, root: Path) -> Drawing | None:
     """Where an episode of each single task starts, its goal image, and what the filmed methods left, a row an episode.
 
     None where there is no list of single tasks or no method is filmed.
@@ -233,7 +239,7 @@ def goals(params: Params, names: Names, environment: str, episodes: Episodes) ->
     labels = [names.methods[method] for method in methods]
     wanted = {"seed": seed, "goals": goal_set}
     played = {label: rows_of(episodes[label], wanted).set_index("episode") for label in labels}
-    scenes = [read_npy(paths.scenes(environment, method)) for method in methods]  # each (episodes, 3, H, W, 3)
+    scenes = [read_npy(root / paths.scenes(environment, method)) for method in methods]  # each (episodes, 3, H, W, 3)
     count = len(scenes[0])
     figure = Figure(figsize=(7, 0.3 + (6.1 / (2 + len(methods)) + 0.17) * count))
     figure.set_layout_engine("constrained", w_pad=0.02, h_pad=0.01, wspace=0, hspace=0)
@@ -289,9 +295,8 @@ def probe(table: pd.DataFrame) -> Figure:
     return figure
 
 
-def fork_samples(params: Params, names: Names) -> Figure:
+def fork_samples(params: Params, names: Names, table: pd.DataFrame) -> Figure:
     """Actions of the demonstrations and of every method on the fork, a panel each."""
-    table = pd.read_csv(paths.FORK)
     shown = ["data", *params.fork.methods]
     figure, grid = panels(len(shown), 0.4, 1.1)
     for axis, method in zip(grid, shown, strict=False):
@@ -305,12 +310,12 @@ def fork_samples(params: Params, names: Names) -> Figure:
     return figure
 
 
-def training_curves(params: Params, names: Names, environment: str) -> Figure:
+def training_curves(params: Params, names: Names, environment: str, root: Path) -> Figure:
     """Held-out loss over its first measurement against the share of the training, a line a seed."""
     figure = Figure(figsize=(4.7, 2.4), layout="constrained")
     axis = figure.subplots()
     for method, colour in zip(params.methods_in(environment), itertools.cycle(METHOD_COLOURS)):
-        curves = pd.read_csv(paths.curve(environment, method))
+        curves = pd.read_csv(root / paths.curve(environment, method))
         for i, seed in enumerate(params.environments[environment].seeds):
             label, losses = names.methods[method] if i == 0 else None, curves[f"validation_loss_seed{seed}"]
             share = curves["step"] / curves["step"].iloc[-1]

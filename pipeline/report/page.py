@@ -94,7 +94,7 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
         verdicts={verdict: int(verdicts.get(verdict, 0)) for verdict in VERDICTS},
         count=len(numbers),
         seconds=numbers[numbers["metric"] == SECONDS].set_index("method")["mean"].to_dict(),
-        generated={name: dataset.meta["source"] == "scripted" for name, dataset in values["datasets"].items()},
+        generated={name: play["source"] == "scripted" for name, play in values["play"].items()},
         figures=arrange(figures, beginnings | BEYOND),
         study_of={f"study_{table.name}": table for table in values["studies"]},
         table_of={table.name: table for table in values["own_tables"]},

@@ -1,5 +1,6 @@
 """Tables of the studies, a row a sampling, and of students and teachers: each with its difference to the first row."""
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from beso import envs
@@ -53,11 +54,11 @@ class Table(NamedTuple):
     rows: list[Row]
 
 
-def tables(params: Params) -> list[Table]:
-    """One table for each study."""
+def tables(params: Params, root: Path = Path()) -> list[Table]:
+    """One table for each study in a run's folder."""
     found, names = [], Names(params)
     for name, study in params.studies.items():
-        episodes = read_study(name)
+        episodes = read_study(root, name)
         columns = [
             Column(_label(metric, goals, study.env, params.goals(name), names), metric, goals)
             for goals in params.goals(name)
@@ -79,18 +80,18 @@ def tables(params: Params) -> list[Table]:
     return found
 
 
-def students(params: Params) -> list[Table]:
+def students(params: Params, root: Path = Path()) -> list[Table]:
     """One table for each teacher: itself, then the policies that learned from it, over the first goal set."""
     names, taught = Names(params), dict[tuple[str, str], list[str]]()
     for cell in params.cells.values():
         teacher = params.teacher(cell.env, cell.method)
-        if teacher:
+        if teacher in params.methods_in(cell.env):  # an archive may lack it
             taught.setdefault((cell.env, teacher), [teacher]).append(cell.method)
     found = []
     for (environment, teacher), policies in taught.items():
         goals = params.environments[environment].evaluation.goals[0]
         columns = [Column(metric.label, metric, goals) for metric in envs.report(environment).METRICS]
-        parts = [read_episodes(environment, policy) for policy in policies]
+        parts = [read_episodes(root, environment, policy) for policy in policies]
         rows = [
             Row({"policy": policy}, [names.method(policy)], None, [_score(part, parts[0], c) for c in columns])
             for policy, part in zip(policies, parts, strict=True)

@@ -1,60 +1,209 @@
-"""`python -m pipeline.tools.publish` archives the finished run in reports/published/<profile>/.
+"""`python -m pipeline.tools.publish [NAME ...]` archives what is finished in reports/published/<profile>/.
 
-The folder holds what the numbers came from: parameters, versions, models, training curves, a row an episode, metrics,
-comparison, tables and figures.
+A NAME is a stage (`evaluate@block_push-c_beso`, `study@noise_block_push`, `fork`) or an environment, which stands for
+its finished cells and studies; without any, everything finished is meant: what DVC would not run again. What the
+archive has of other cells stays, if it was made with the same parameters and data, so that a long run can be archived
+in several sittings. Then tables, comparison, metrics and figures are made from all that the archive has, as the stage
+`tables` makes them.
+
+The folder is laid out as the repository, the report's files at its top. Beside the rows of each cell and study lies a
+record, `<name>.json`: its parameters, the digest of the play data, versions. Of play data there is a summary, of trials
+the first ones, and of weights those of the first seed where `--weights METHOD` asks for them, in half precision:
+
+    python -m pipeline.tools.publish --weights c_beso
+
+`python -m pipeline.watch ENV METHOD --run FOLDER` films these. `--drop NAME` takes out a stage or an environment.
 """
 
+import argparse
 import json
 import shutil
-import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
+import safetensors.torch
+import torch
+
+from beso import checkpoint, envs, trials
+from beso.data import play
 from beso.errors import UserError
-from beso.files import replacing, write_json
+from beso.files import read_json, replacing, sha256, write_json, write_text
+from beso.images import encoder
 from pipeline import paths
-from pipeline.params import PATH, Params, load
+from pipeline.params import PATH, Params, load, read_yaml
+from pipeline.report.gather import SUMMARY, summary
 from pipeline.report.page import versions
-from pipeline.stage import run
+from pipeline.report.write import write_tables
+from pipeline.run import plan
+from pipeline.stage import guard
+from pipeline.tools.archive import Part, check, held, parameters, parts, restricted
 
 FOLDER = paths.REPORTS / "published"
+LARGEST = 2_000_000  # bytes of a file of weights: git keeps every version for ever
 
 
-def main() -> None:
-    params = load()
-    _check()
-    folder = FOLDER / params.profile
-    with replacing(folder) as temporary:
-        for path in _contents(params):
-            if not path.exists():
-                raise UserError(f"{path} is missing: run `dvc repro` first")
-            target = temporary / (path.relative_to(paths.REPORTS) if path.is_relative_to(paths.REPORTS) else path)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            if path.is_dir():
-                shutil.copytree(path, target)
-            else:
-                shutil.copyfile(path, target)
-        write_json(temporary / "environment.json", versions())
-    print(f"archived in {folder}")
-
-
-def _check() -> None:
-    """What lies on disk must come from these parameters.
+def choose(available: dict[str, Part], names: list[str]) -> list[Part]:
+    """The finished parts among those named, or all finished ones.
 
     Raises:
-        UserError: `dvc repro tables` would still run something.
+        UserError: an unknown name, or nothing finished of it.
     """
-    command = ["dvc", "status", "--json", "--with-deps", "tables"]
-    status = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    if stages := json.loads(status):
-        raise UserError(f"{', '.join(stages)} out of date: run `dvc repro tables` first, then publish")
+    named = {name: [p for p in available.values() if name in (p.stage, p.env)] for name in names}
+    for name, of_name in named.items():
+        if not of_name:
+            raise UserError(f"{name!r} is neither an environment nor one of {', '.join(available)}")
+    wanted = {p.stage: p for of_name in named.values() for p in of_name} if names else available
+    stale = plan(list(wanted))[0]
+    for name, of_name in named.items():
+        if all(p.stage in stale for p in of_name):
+            raise UserError(
+                f"{name} is not finished: run `python -m pipeline.run {' '.join(p.stage for p in of_name)}`"
+            )
+    return [p for p in wanted.values() if p.stage not in stale]
 
 
-def _contents(params: Params) -> list[Path]:
-    kinds = (paths.models, paths.curve, paths.episodes)
-    reports = [paths.REPORTS / name for name in ("tables.tex", "comparison.csv", "metrics.json", "figures")]
-    cells = [kind(cell.env, cell.method) for cell in params.cells.values() for kind in kinds]
-    return [PATH, *reports, *cells, *(paths.study(name) for name in params.studies)]
+def drop(part: Part, folder: Path) -> None:
+    """Take a part out of an archive's folder."""
+    (folder / part.rows).unlink(missing_ok=True)
+    (folder / part.record).unlink(missing_ok=True)
+    if part.is_cell:
+        shutil.rmtree(folder / paths.models(part.env, part.method), ignore_errors=True)
+        (folder / paths.curve(part.env, part.method)).unlink(missing_ok=True)
+        (folder / paths.scenes(part.env, part.method)).unlink(missing_ok=True)
+
+
+def add(part: Part, params: Params, folder: Path, record: dict[str, Any], with_weights: bool) -> None:
+    """Copy a finished part into an archive's folder, in place of what it has of it."""
+    drop(part, folder)
+    _copy(part.rows, folder)
+    if part.is_cell:
+        _copy(paths.curve(part.env, part.method), folder)
+        if part.cell in params.films and params.environments[part.env].evaluation.tasks:
+            _copy(paths.scenes(part.env, part.method), folder)
+        models = paths.models(part.env, part.method)
+        seeds = params.environments[part.env].seeds
+        for seed in seeds:
+            _copy(checkpoint.paths(models, seed)[1], folder)
+        if with_weights:
+            weights = checkpoint.paths(models, seeds[0])[0]
+            halve(weights, folder / weights)
+    write_json(folder / part.record, record)
+
+
+def drop_environment(environment: str, folder: Path) -> None:
+    """Take what the cells of an environment share out of an archive's folder."""
+    for path in (paths.play(environment), paths.trials(environment)):
+        shutil.rmtree(folder / path, ignore_errors=True)
+    for path in (paths.samples(environment), paths.probe(environment)):
+        (folder / path).unlink(missing_ok=True)
+
+
+def add_environment(params: Params, environment: str, folder: Path) -> None:
+    """Write into an archive's folder what its cells of an environment share."""
+    drop_environment(environment, folder)
+    target = folder / paths.play(environment)
+    write_text(target / SUMMARY, json.dumps(summary(Path(), environment)) + "\n")
+    settings = params.environments[environment]
+    first = (settings.evaluation.goals[0], settings.seeds[0])
+    made = trials.load(paths.trials(environment))
+    trials.save({first: made[first][: settings.evaluation.chunk]}, folder / paths.trials(environment))
+    if environment in params.images:
+        _copy(paths.samples(environment), folder)
+        _copy(paths.probe(environment), folder)
+        halve(paths.play(environment) / encoder.WEIGHTS, target / encoder.WEIGHTS)
+        description = read_json(paths.play(environment) / encoder.DESCRIPTION)
+        write_json(target / encoder.DESCRIPTION, description | {"sha256": sha256(target / encoder.WEIGHTS)})
+
+
+def halve(weights: Path, target: Path) -> None:
+    """Write weights in half precision, which loading turns back; what half precision cannot hold stays as it is."""
+    tensors = safetensors.torch.load_file(weights)
+    halves = {name: value.half() if value.dtype == torch.float32 else value for name, value in tensors.items()}
+    kept = {name: half if half.isfinite().all() else tensors[name] for name, half in halves.items()}
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(target) as temporary:
+        temporary.write_bytes(safetensors.torch.save(kept))
+
+
+def limit_weights(folder: Path) -> None:
+    """Remove weights that are too large for git, or whose encoder is, and say so; and encoders of no policy."""
+    for weights in sorted(folder.glob("models/*/*/*.safetensors")):
+        environment, method = weights.parts[-3:-1]
+        files = (weights, folder / paths.play(environment) / encoder.WEIGHTS)
+        if too_large := [path for path in files if path.is_file() and path.stat().st_size > LARGEST]:
+            name, size = too_large[0].relative_to(folder), too_large[0].stat().st_size
+            print(f"weights of {environment} {method} are left out: {name} has {size:,} bytes, more than {LARGEST:,}")
+            weights.unlink()
+    for weights in folder.glob(f"data/play/*/{encoder.WEIGHTS}"):
+        if not any((folder / "models" / weights.parent.name).glob("*/*.safetensors")):
+            weights.unlink()
+
+
+def _copy(path: Path, folder: Path) -> None:
+    target = folder / path
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(path, target)
+
+
+def write(folder: Path, params: Params, there: list[Part], new: list[Part], weights_of: list[str]) -> None:
+    """Write an archive that has some parts, the new ones from the run and the others as it had them.
+
+    Args:
+        weights_of: methods whose weights are to be kept.
+    """
+    shown, values = restricted(params, there), read_yaml(PATH)
+    environments = dict.fromkeys(part.env for part in new if part.env)
+    digests = {env: play.data_digest(play.load(paths.play(env), envs.spec(env))) for env in environments}
+    slices = {part: parameters(values, part.keys) for part in there}
+    for part in there:
+        if part not in new:
+            data = {"data": digests[part.env]} if part.env in digests else {}
+            check(part, folder, {"parameters": slices[part], **data})
+    with replacing(folder) as temporary:
+        if folder.is_dir():
+            shutil.copytree(folder, temporary)
+        for part in parts(params).values():
+            if part not in there:
+                drop(part, temporary)
+        for environment in set(params.envs) - set(shown.envs):
+            drop_environment(environment, temporary)
+        for part in new:
+            record = {"parameters": slices[part], "data": digests.get(part.env), "versions": versions()}
+            kept = any((folder / paths.models(part.env, part.method)).glob("*.safetensors"))
+            add(part, params, temporary, record, kept or part.method in weights_of)
+        for environment in environments:
+            add_environment(params, environment, temporary)
+        limit_weights(temporary)
+        _copy(PATH, temporary)
+        write_tables(shown, temporary, temporary)
+
+
+def main(*arguments: str) -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m pipeline.tools.publish", description="archive what is finished of this run"
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help="a stage or an environment (default: all finished)")
+    parser.add_argument("--weights", nargs="+", default=[], metavar="METHOD", help="keep weights of these methods")
+    parser.add_argument("--drop", nargs="+", default=[], metavar="NAME", help="take these out, and add nothing")
+    options = parser.parse_args(arguments)
+    params = load()
+    available, folder = parts(params), FOLDER / params.profile
+    for method in options.weights:
+        if method not in params.methods:
+            raise UserError(f"--weights {method}: {PATH} has the methods {', '.join(params.methods)}")
+    before = held(folder, available)
+    for name in options.drop:
+        if not any(name in (part.stage, part.env) for part in before):
+            raise UserError(f"--drop {name}: {folder} has {', '.join(part.stage for part in before) or 'nothing'}")
+    stay = [part for part in before if not {part.stage, part.env} & {*options.drop}]
+    new = [] if options.drop else choose(available, options.names)
+    there = [part for part in available.values() if part in new or part in stay]
+    if not any(part.is_cell for part in there):
+        raise UserError(f"no cell of profile {params.profile} is finished or archived: run `python -m pipeline.run`")
+    write(folder, params, there, new, options.weights)
+    print(f"{folder}: {len(new)} cells and studies archived, {len(there) - len(new)} stay as they were")
 
 
 if __name__ == "__main__":
-    run(main)
+    guard(main, *sys.argv[1:])

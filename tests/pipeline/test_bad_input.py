@@ -143,19 +143,3 @@ def test_unknown_names(workspace):
         assert "params.yaml has no cell block_push-sac: block_push-gcbc" in stage(workspace, name, "block_push", "sac")
     assert unknown in stage(workspace, "collect", "moon")
     assert "study 'moons' is not in params.yaml: samplers_block_push" in stage(workspace, "study", "moons")
-
-
-def test_results_of_other_parameters_are_not_published(workspace):
-    workspace.set("environments.block_push.evaluation.seed", 7)
-    line = fails(workspace, sys.executable, "-m", "pipeline.tools.publish")
-    assert "evaluate@block_push-gcbc" in line
-    assert "out of date: run `dvc repro tables` first" in line
-
-
-def test_publish_archives_the_run(workspace):
-    workspace.python("-m", "pipeline.tools.publish")
-    archive = workspace.folder / "reports/published/smoke"
-    assert (archive / "params.yaml").read_bytes() == (workspace.folder / "params.yaml").read_bytes()
-    assert (archive / "comparison.csv").read_bytes() == (workspace.folder / "reports/comparison.csv").read_bytes()
-    assert (archive / "models/block_push/c_beso/seed2.safetensors").is_file()
-    assert (archive / "environment.json").is_file()

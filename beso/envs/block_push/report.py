@@ -5,6 +5,7 @@ import numpy as np
 from beso.data.play import PlayDataset
 from beso.envs.block_push.spec import LONGEST
 from beso.envs.protocol import Drawing, Episodes, Metric, Table
+from beso.envs.reporting import Summary
 from beso.envs.statistics import sizes
 
 LABEL = "Block-Push"
@@ -35,11 +36,16 @@ def statistics(dataset: PlayDataset) -> dict[str, float]:
     }
 
 
-def drawings(dataset: PlayDataset, episodes: Episodes) -> list[Drawing]:
+def summary(dataset: PlayDataset) -> Summary:
+    """See beso.envs.reporting.Report."""
+    return {"statistics": statistics(dataset)}
+
+
+def drawings(play: Summary, episodes: Episodes) -> list[Drawing]:
     """None beyond those of every environment."""
     return []
 
 
-def tables(dataset: PlayDataset, episodes: Episodes) -> list[Table]:
+def tables(episodes: Episodes) -> list[Table]:
     """None beyond those of every environment."""
     return []

@@ -73,9 +73,8 @@ def bars(tables: Mapping[str, pd.DataFrame], label: str) -> Figure:
     return figure
 
 
-def play(dataset: PlayDataset) -> Figure:
-    """How often each task was done in the play, a bar a task."""
-    shares = task_shares(dataset)
+def play(shares: Mapping[str, float]) -> Figure:
+    """How often each task was done in the play, a bar a task; see task_shares."""
     figure = Figure(figsize=(7, 2.6), layout="constrained")
     axis = figure.subplots()
     axis.bar(range(len(shares)), list(shares.values()), color=COLOURS[0])

@@ -3,6 +3,7 @@
 from beso.data.play import PlayDataset
 from beso.envs.calvin import drawings as figures
 from beso.envs.protocol import Drawing, Episodes, Metric, Table
+from beso.envs.reporting import Summary
 from beso.envs.statistics import sizes
 
 LABEL = "CALVIN"
@@ -26,7 +27,12 @@ def statistics(dataset: PlayDataset) -> dict[str, float]:
     }
 
 
-def drawings(dataset: PlayDataset, episodes: Episodes) -> list[Drawing]:
+def summary(dataset: PlayDataset) -> Summary:
+    """See beso.envs.reporting.Report. Shares: of all tasks done in the play, by task."""
+    return {"statistics": statistics(dataset), "shares": figures.task_shares(dataset)}
+
+
+def drawings(play: Summary, episodes: Episodes) -> list[Drawing]:
     """The paper's two figures of CALVIN, from our numbers; and what the play has."""
     by_task = {name: figures.by_task(rows) for name, rows in episodes.items()}
     count = next(iter(by_task.values())).columns.drop(figures.MEAN).size
@@ -42,11 +48,11 @@ def drawings(dataset: PlayDataset, episodes: Episodes) -> list[Drawing]:
             f"{LABEL}: success in each of {count} single tasks, and their mean.",
             figures.bars(by_task, "success"),
         ),
-        Drawing("calvin_play", f"{LABEL}: how often each task is done in the play.", figures.play(dataset)),
+        Drawing("calvin_play", f"{LABEL}: how often each task is done in the play.", figures.play(play["shares"])),
     ]
 
 
-def tables(dataset: PlayDataset, episodes: Episodes) -> list[Table]:
+def tables(episodes: Episodes) -> list[Table]:
     """The first two figures' numbers, means over seeds."""
     summaries = {name: figures.in_short(rows).mean() for name, rows in episodes.items()}
     tasks = {name: figures.by_task(rows).mean() for name, rows in episodes.items()}

@@ -1,7 +1,8 @@
 """Figures of the relay kitchen: how varied the demonstrations are, and what policies do beside them."""
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,7 +15,7 @@ from beso.envs.kitchen.simulator import KitchenEnv
 from beso.envs.kitchen.spec import TASKS
 from beso.envs.protocol import Episodes
 
-Order = tuple[int, ...]  # tasks as they were done
+Order = Sequence[int]  # tasks as they were done
 
 APPROACH = 25  # steps before a task is done: about two seconds, from the way to the thing to its end
 DRAWN = 60  # demonstrations a panel
@@ -22,7 +23,7 @@ FINGERS, OPEN = 7, 0.02  # entry of an observation, and metres above which the h
 BLUE, ORANGE = COLOURS[:2]
 
 
-def orders(rows: pd.DataFrame) -> list[Order]:
+def orders(rows: pd.DataFrame) -> Sequence[Order]:
     """Tasks in the order in which each episode did them."""
     return [tuple(map(int, str(tasks).split())) for tasks in rows["tasks"].fillna("")]
 
@@ -40,10 +41,9 @@ def transitions(done: Iterable[Order]) -> np.ndarray:
     return np.divide(counts, totals, out=np.full_like(counts, np.nan), where=totals > 0)
 
 
-def order_matrices(dataset: PlayDataset, episodes: Episodes) -> Figure:
+def order_matrices(demonstrated: Sequence[Order], episodes: Episodes) -> Figure:
     """Which task follows which: the demonstrations and every method, a panel each."""
-    shown = {"demonstrations": [dataset.completed(i) for i in range(len(dataset))]}
-    shown |= {method: orders(rows) for method, rows in episodes.items()}
+    shown = {"demonstrations": demonstrated} | {method: orders(rows) for method, rows in episodes.items()}
     figure, grid = panels(len(shown), 0.5, 1.6)
     letters = [task.letter for task in TASKS]
     image = None
@@ -81,12 +81,12 @@ def completion(episodes: Episodes, most: int) -> Figure:
     return figure
 
 
-def hand_paths(dataset: PlayDataset, task: int) -> tuple[np.ndarray, np.ndarray]:
-    """The hand on its way to a task, in the first demonstrations that have the time for it.
+def approaches(dataset: PlayDataset, task: int) -> list[dict[str, Any]]:
+    """The hand on its way to a task, in up to DRAWN demonstrations, the first that have the time for it.
 
     Returns:
-        Its places (up to DRAWN, APPROACH, 3), metres, up to the first step in which the task is done, and
-        whether it was open then, (N,) booleans.
+        JSON values: "right" and "up", its places in the APPROACH steps up to the first in which the task is done,
+        millimetres, and whether it was "open" then.
     """
     ends = np.flatnonzero(dataset.tasks[:, task])
     starts = np.array([0, *dataset.episode_ends[:-1]])[np.searchsorted(dataset.episode_ends, ends, side="right")]
@@ -99,20 +99,22 @@ def hand_paths(dataset: PlayDataset, task: int) -> tuple[np.ndarray, np.ndarray]
         kitchen.data.qpos[:] = dataset.observations[steps[where]]
         mujoco.mj_kinematics(kitchen.model, kitchen.data)
         places[where] = kitchen.data.site_xpos[hand]
-    return places, dataset.observations[ends, FINGERS] > OPEN
+    right, up = np.round(1000 * places[..., [0, 2]]).astype(int).transpose(2, 0, 1).tolist()
+    opened = (dataset.observations[ends, FINGERS] > OPEN).tolist()
+    return [{"right": r, "up": u, "open": o} for r, u, o in zip(right, up, opened, strict=True)]
 
 
-def variety(dataset: PlayDataset) -> Figure:
+def variety(demonstrated: Sequence[Order], paths: Sequence[list[dict[str, Any]]]) -> Figure:
     """The hand's paths to each task as seen from the front, and how many demonstrations did which set of tasks."""
     figure = Figure(figsize=(7, 3.6), layout="constrained")
     grid = figure.subplots(2, 4).flatten()
-    for axis, (index, task) in zip(grid, enumerate(TASKS), strict=False):
-        paths, opened = hand_paths(dataset, index)
-        for path, is_open in zip(paths, opened, strict=True):
-            axis.plot(path[:, 0], path[:, 2], color=BLUE if is_open else ORANGE, linewidth=0.5, alpha=0.6)
+    for axis, task, of_task in zip(grid, TASKS, paths, strict=False):
+        for path in of_task:
+            right, up = np.array(path["right"]) / 1000, np.array(path["up"]) / 1000
+            axis.plot(right, up, color=BLUE if path["open"] else ORANGE, linewidth=0.5, alpha=0.6)
         axis.set_title(f"{task.name} ({task.letter})")
         axis.tick_params(labelsize=6)
-    sets = pd.Series(["".join(TASKS[t].letter for t in sorted(dataset.completed(i))) for i in range(len(dataset))])
+    sets = pd.Series(["".join(TASKS[t].letter for t in sorted(order)) for order in demonstrated])
     counts = sets.value_counts(sort=False).sort_index()
     grid[-1].bar(range(len(counts)), counts, color="#888888")
     grid[-1].set_title("sets of tasks")

@@ -4,7 +4,9 @@ import numpy as np
 
 from beso.data.play import PlayDataset
 from beso.envs.kitchen import drawings as figures
+from beso.envs.kitchen.spec import TASKS
 from beso.envs.protocol import Drawing, Episodes, Metric, Table
+from beso.envs.reporting import Summary
 from beso.envs.statistics import sizes
 
 LABEL = "Relay Kitchen"
@@ -27,7 +29,19 @@ def statistics(dataset: PlayDataset) -> dict[str, float]:
     }
 
 
-def drawings(dataset: PlayDataset, episodes: Episodes) -> list[Drawing]:
+def summary(dataset: PlayDataset) -> Summary:
+    """See beso.envs.reporting.Report.
+
+    Orders: of each demonstration, its tasks as they were done. Approaches: for each task, see figures.approaches.
+    """
+    return {
+        "statistics": statistics(dataset),
+        "orders": [list(dataset.completed(i)) for i in range(len(dataset))],
+        "approaches": [figures.approaches(dataset, task) for task in range(len(TASKS))],
+    }
+
+
+def drawings(play: Summary, episodes: Episodes) -> list[Drawing]:
     """How varied the demonstrations are; which task follows which; how many of a goal's tasks are done."""
     return [
         Drawing(
@@ -35,13 +49,13 @@ def drawings(dataset: PlayDataset, episodes: Episodes) -> list[Drawing]:
             f"{LABEL}: the hand in the two seconds before a task is done, seen from the front, in up to {figures.DRAWN}"
             " demonstrations (blue: open, orange: closed when the task is done), and how often each set of four"
             " tasks was demonstrated.",
-            figures.variety(dataset),
+            figures.variety(play["orders"], play["approaches"]),
         ),
         Drawing(
             "kitchen_order",
             f"{LABEL}: which task follows which, in the demonstrations and in the methods' episodes; letters as in the"
             " figure before.",
-            figures.order_matrices(dataset, episodes),
+            figures.order_matrices(play["orders"], episodes),
         ),
         Drawing(
             "kitchen_completed",
@@ -51,7 +65,7 @@ def drawings(dataset: PlayDataset, episodes: Episodes) -> list[Drawing]:
     ]
 
 
-def tables(dataset: PlayDataset, episodes: Episodes) -> list[Table]:
+def tables(episodes: Episodes) -> list[Table]:
     """The last figure's numbers."""
     rows = [(name, *figures.completed_shares(part, WANTED)) for name, part in _training(episodes).items()]
     columns = ("Method", *(f"at least {n}" for n in range(1, WANTED + 1)))

@@ -61,7 +61,7 @@ def test_statistics_of_play():
     assert found["share of tasks: open drawer"] == 0.75
     assert sum(value for name, value in found.items() if name.startswith("share")) == pytest.approx(1)
     assert set(report.PUBLISHED) <= set(found)
-    assert drawings.play(dataset).axes[0].patches[OPEN].get_height() == 0.75
+    assert drawings.play(report.summary(dataset)["shares"]).axes[0].patches[OPEN].get_height() == 0.75
 
 
 def test_figures_and_tables_have_every_method(rows):
@@ -69,7 +69,7 @@ def test_figures_and_tables_have_every_method(rows):
     dataset = PlayDataset(np.zeros((40, 512)), np.zeros((40, 7)), tasks, np.array([20, 40]), {})
     single = rows[rows["goals"] == "single_tasks"]
     episodes = {"A": rows, "B": single}
-    summary, tasks = report.tables(dataset, episodes)
+    summary, tasks = report.tables(episodes)
     assert summary.columns == ("Method", *drawings.COLUMNS)
     assert summary.rows[0] == ("A", 0.25, 0.875, 0.625, 0.8125)
     assert summary.rows[1][:2] == ("B", 0.25)
@@ -77,7 +77,7 @@ def test_figures_and_tables_have_every_method(rows):
     assert tasks.columns == ("Task", "A", "B")
     assert tasks.rows == [("open drawer", 0.5, 0.5), ("close drawer", 0, 0), ("mean", 0.25, 0.25)]
     assert tuple(report.GOAL_LABELS) == SPEC.goal_sets
-    drawn = report.drawings(dataset, episodes)
+    drawn = report.drawings(report.summary(dataset), episodes)
     assert "in each of 2 single tasks" in drawn[1].caption, "as many as there were"
     assert len({drawing.name for drawing in drawn}) == len(drawn)
     assert drawn[0].figure.axes[0].get_legend_handles_labels()[1] == ["A", "B"]

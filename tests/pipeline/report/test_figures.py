@@ -1,0 +1,33 @@
+import pandas as pd
+
+from pipeline import profile
+from pipeline.report.figures import overview
+from pipeline.report.names import Names
+
+NAMES = Names(profile.load("smoke"))
+COLUMNS = ["environment", "metric", "method", "study", "ours", "ours_low", "ours_high", "paper", "paper_std"]
+
+
+def drawn(*rows):
+    return overview(pd.DataFrame(rows, columns=COLUMNS), NAMES)
+
+
+def test_the_overview_has_a_panel_a_metric_and_the_methods_that_have_numbers():
+    cells = [
+        ("kitchen", "result", "c_beso", None, 2.0, 1.0, 4.0, 3.75, 0.05),
+        ("kitchen", "result", "gcbc", None, 1.0, 0.5, 2.0, 2.57, None),
+        ("kitchen", "result", "lmp", None, None, None, None, 1.41, 0.1),
+        ("block_push", "reward", "c_beso", "noise_block_push", 0.5, 0.4, 0.6, 0.96, 0.02),
+    ]
+    figure = drawn(*cells)
+    titles = [axis.get_title() for axis in figure.axes]
+    assert titles == ["Block-Push,\nReward", "Relay Kitchen,\nResult"]
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["GCBC", "C-BESO"]
+    points = {tuple(line.get_xydata()[0]) for line in figure.axes[1].lines[1:] if len(line.get_xydata())}
+    assert {(3.75 / 4, 0.5), (2.57 / 4, 0.25)} <= points, "shares of the largest value"
+
+
+def test_the_overview_of_a_run_beside_which_the_paper_has_nothing_is_empty():
+    figure = drawn(("kitchen", "result", "c_beso_film", None, 2.0, 1.0, 3.0, None, None))
+    assert [axis.get_title() for axis in figure.axes] == [""]

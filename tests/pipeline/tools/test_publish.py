@@ -1,0 +1,171 @@
+"""Archives of the smoke run: whole, in parts, and used without the run."""
+
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+import safetensors.torch
+
+from beso.errors import UserError
+from beso.policy import Policy
+from pipeline.tools import publish
+
+ARCHIVE = "reports/published/smoke"
+WEIGHTS = [f"models/{environment}/c_beso/seed1.safetensors" for environment in ("block_push", "calvin", "kitchen")]
+ENCODER = "data/play/calvin/encoder.safetensors"
+
+
+@pytest.fixture(scope="module")
+def archived(finished, tmp_path_factory):
+    """The finished smoke run with an archive of all of it."""
+    workspace = finished.copy(tmp_path_factory.mktemp("archived") / "workspace")
+    workspace.python("-m", "pipeline.tools.publish", "--weights", "c_beso")
+    return workspace
+
+
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def not_run(folder):
+    """Cells of the paper's main table of which a folder's comparison has nothing."""
+    table = pd.read_csv(folder / "comparison.csv").query("place == 'Table I' and verdict == 'not run'")
+    return set(zip(table["environment"], table["method"], strict=True))
+
+
+def test_the_archive_of_a_whole_run_has_the_tables_of_the_run(archived):
+    archive, reports = archived.folder / ARCHIVE, archived.folder / "reports"
+    for name in ("tables.tex", "comparison.csv", "metrics.json"):
+        assert (archive / name).read_bytes() == (reports / name).read_bytes()
+    assert contents(archive / "figures") == contents(reports / "figures")
+    assert "do not differ: the same in all" in archived.python("-m", "pipeline.compare", ARCHIVE, ".").stdout
+
+
+def test_archives_keep_the_weights_that_were_asked_for_and_git_takes_them(archived):
+    archive = archived.folder / ARCHIVE
+    kept = sorted(path.relative_to(archive).as_posix() for path in archive.rglob("*.safetensors"))
+    assert kept == sorted([*WEIGHTS, ENCODER])
+    assert (archive / "models/kitchen/gcbc/seed1.json").is_file(), "descriptions of all models"
+    archived.run("git", "add", ARCHIVE)
+    listed = archived.run("git", "ls-files", ARCHIVE).stdout.split()
+    assert len(listed) == len(contents(archive))
+    assert sum(map(len, contents(archive).values())) < 8e6
+
+
+def test_an_archive_grows_in_sittings_to_the_same_bytes(archived, tmp_path):
+    first, second = archived.copy(tmp_path / "first"), archived.copy(tmp_path / "second")
+    whole = contents(archived.folder / ARCHIVE)
+    for workspace in (first, second):
+        shutil.rmtree(workspace.folder / ARCHIVE)
+    first.python("-m", "pipeline.tools.publish", "kitchen", "fork", "--weights", "c_beso")
+    missing = not_run(first.folder / ARCHIVE) - not_run(first.folder / "reports")
+    assert {environment for environment, _ in missing} == {"block_push"}
+    assert {"gcbc", "c_beso"} <= {method for _, method in missing}
+    # Of the first sitting, the second has what git tracks.
+    shutil.copytree(first.folder / ARCHIVE, second.folder / ARCHIVE)
+    for folder in ("data/play", "data/trials", "models", "results"):
+        shutil.rmtree(second.folder / folder / "kitchen")
+    (second.folder / "results/fork.csv").unlink()
+    second.python("-m", "pipeline.tools.publish", "--weights", "c_beso")
+    assert contents(second.folder / ARCHIVE) == whole
+
+
+def refused(workspace, monkeypatch, *arguments):
+    monkeypatch.chdir(workspace.folder)
+    before = contents(workspace.folder / ARCHIVE)
+    with pytest.raises(UserError) as error:
+        publish.main(*arguments)
+    assert contents(workspace.folder / ARCHIVE) == before
+    return str(error.value)
+
+
+def test_cells_of_other_parameters_or_data_do_not_stand_side_by_side(archived, tmp_path, monkeypatch):
+    workspace = archived.copy(tmp_path / "workspace")
+    record = workspace.folder / ARCHIVE / "results/kitchen/gcbc.json"
+    made = json.loads(record.read_text())
+    record.write_text(json.dumps(made | {"data": "another"}))
+    line = refused(workspace, monkeypatch, "evaluate@kitchen-c_beso")
+    assert line.startswith(f"{ARCHIVE} has evaluate@kitchen-gcbc of other data: data 'another' there and '")
+    record.write_text(json.dumps(made))
+    workspace.set("environments.kitchen.evaluation.seed", 7)
+    assert refused(workspace, monkeypatch) == (
+        f"{ARCHIVE} has evaluate@kitchen-gcbc of other parameters: environments.kitchen.evaluation.seed is 1000 there"
+        " and 7 here; archive it anew, or drop it: `python -m pipeline.tools.publish --drop evaluate@kitchen-gcbc`"
+    )
+    line = refused(workspace, monkeypatch, "kitchen")
+    assert line.startswith("kitchen is not finished: run `python -m pipeline.run evaluate@kitchen-gcbc ")
+
+
+def test_a_dropped_cell_is_not_run(archived, tmp_path, monkeypatch):
+    workspace = archived.copy(tmp_path / "workspace")
+    monkeypatch.chdir(workspace.folder)
+    publish.main("--drop", "evaluate@kitchen-gcbc")
+    archive = workspace.folder / ARCHIVE
+    assert not list(archive.rglob("*kitchen/gcbc*"))
+    assert not_run(archive) - not_run(workspace.folder / "reports") == {("kitchen", "gcbc")}
+    line = refused(workspace, monkeypatch, "--drop", "evaluate@kitchen-gcbc")
+    assert line.startswith(f"--drop evaluate@kitchen-gcbc: {ARCHIVE} has evaluate@block_push-gcbc, ")
+    assert "study@samplers_block_push is of cell block_push-c_beso, which is not archived" in refused(
+        workspace, monkeypatch, "--drop", "evaluate@block_push-c_beso"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("moon",), "'moon' is neither an environment nor one of evaluate@block_push-gcbc, "),
+        (("--weights", "sac"), "--weights sac: params.yaml has the methods gcbc, "),
+        (("--drop", "moon"), f"--drop moon: {ARCHIVE} has evaluate@block_push-gcbc, "),
+    ],
+)
+def test_unknown_names_are_one_line(archived, monkeypatch, arguments, message):
+    assert refused(archived, monkeypatch, *arguments).startswith(message)
+
+
+def test_archives_without_records_are_refused(archived, tmp_path, monkeypatch):
+    workspace = archived.copy(tmp_path / "workspace")
+    (workspace.folder / ARCHIVE / "results/kitchen/gcbc.json").unlink()
+    assert "was archived by an older version: remove it" in refused(workspace, monkeypatch)
+
+
+def test_too_large_weights_are_left_out(archived, tmp_path, capsys):
+    archive = shutil.copytree(archived.folder / ARCHIVE, tmp_path / "archive")
+    encoder = archive / ENCODER
+    with encoder.open("ab") as file:
+        file.truncate(publish.LARGEST + 1)
+    publish.limit_weights(archive)
+    told = capsys.readouterr().out
+    assert told == f"weights of calvin c_beso are left out: {ENCODER} has 2,000,001 bytes, more than 2,000,000\n"
+    assert [(archive / name).exists() for name in (*WEIGHTS, ENCODER)] == [True, False, True, False]
+
+
+def test_policies_of_an_archive_act_as_they_did(archived):
+    for environment in ("block_push", "kitchen"):
+        folder = f"models/{environment}/c_beso"
+        stored = safetensors.torch.load_file(archived.folder / ARCHIVE / folder / "seed1.safetensors")
+        assert {str(value.dtype) for value in stored.values()} <= {"torch.float16", "torch.int64"}
+        policies = [Policy.load(archived.folder / root / folder, device="cpu") for root in ("", ARCHIVE)]
+        data = archived.folder / "data/play" / environment
+        observations, actions = (np.load(data / f"{name}.npy") for name in ("observations", "actions"))
+        acted = []
+        for policy in policies:
+            policy.reset(observations[-1])
+            acted.append(np.stack([policy.act(observation) for observation in observations[:20]]))
+        assert not np.array_equal(*acted)
+        assert np.abs(acted[0] - acted[1]).max() < 0.02 * (actions.max() - actions.min())
+
+
+def test_a_clone_watches_the_archive_without_the_run(archived, tmp_path):
+    workspace = archived.copy(tmp_path / "workspace")
+    for folder in ("data", "models", "curves", "results", "films"):
+        shutil.rmtree(workspace.folder / folder)
+    (workspace.folder / "params.yaml").unlink()
+    for environment in ("block_push", "calvin"):
+        workspace.python("-m", "pipeline.watch", environment, "c_beso", "--run", ARCHIVE, "--episode", "1")
+        assert (workspace.folder / "watch.webm").stat().st_size > 1000
+        (workspace.folder / "watch.webm").unlink()
+    done = workspace.python("-m", "pipeline.watch", "block_push", "gcbc", "--run", ARCHIVE, check=False)
+    assert done.returncode == 1
+    assert f"{ARCHIVE}/models/block_push/gcbc/seed1.safetensors was not archived: {ARCHIVE}/" in done.stdout
