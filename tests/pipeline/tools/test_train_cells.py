@@ -102,7 +102,7 @@ def test_the_stage_takes_what_was_brought_back(place, monkeypatch, capsys):
     monkeypatch.setattr(cells.training, "Training", None)  # nothing is trained
     train_cell(params.load(), "block_push", "c_beso")
     assert models("models") == models("trained")
-    assert paths.curve("block_push", "c_beso").read_text().startswith("step,training_loss,")
+    assert paths.curve("block_push", "c_beso").read_text().startswith("step,learning_rate,training_loss,")
 
 
 def test_other_parameters_data_and_code_are_told(place, monkeypatch, capsys):
@@ -110,10 +110,10 @@ def test_other_parameters_data_and_code_are_told(place, monkeypatch, capsys):
     text = Path("params.yaml").read_text()
     Path("params.yaml").write_text(text.replace("train_fraction: 0.", "train_fraction: 0.1"))
     import_cells.main("trained")
-    assert "of other parameters\nblock_push-c_beso: dvc repro would train seeds 1" in capsys.readouterr().out
+    assert "of other parameters\nblock_push-c_beso: dvc repro would train seeds 1, 2 here" in capsys.readouterr().out
 
     Path("params.yaml").write_text(text)
-    (folder,) = Path("trained/block_push/c_beso").iterdir()
+    (folder,) = Path("trained/block_push/c_beso").glob("seed1-*")
     folder.rename(folder.with_name("seed1-0123456789abcdef"))
     import_cells.main("trained")
     assert "taken, but beso/ has changed since" in capsys.readouterr().out
