@@ -34,8 +34,11 @@ class Machine:
     save_seconds: float
     engine: Literal["processes", "ray"]
     ray_address: str
+    seeds_together: int
+    cuda_graph: bool
 
     def __post_init__(self) -> None:
+        require_positive(self, "seeds_together")
         require(self.workers >= 0, f"workers = {self.workers}: must be 0 (one a processor) or more")
         require(self.save_seconds >= 0, f"save_seconds = {self.save_seconds}: must not be negative")
         # auto would be decided on each node, and the nodes' results might differ.

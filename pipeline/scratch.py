@@ -22,9 +22,13 @@ def folder(*parts: Any) -> Path:
 
     The environment variable BESO_SCRATCH names another place than `.scratch`.
     """
-    text = json.dumps([*parts, torch.__version__, _code_digest()], sort_keys=True)
-    name = hashlib.sha256(text.encode()).hexdigest()[:16]
-    return Path(os.environ.get("BESO_SCRATCH", paths.SCRATCH)).absolute() / name
+    return Path(os.environ.get("BESO_SCRATCH", paths.SCRATCH)).absolute() / fingerprint(*parts)
+
+
+def fingerprint(*parts: Any, torch_version: str = torch.__version__) -> str:
+    """The name of that folder."""
+    text = json.dumps([*parts, torch_version, _code_digest()], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _code_digest() -> str:

@@ -139,9 +139,10 @@ class ScorePolicy(nn.Module, Policy):
         self.null_goal = None if null_goal is None else nn.Parameter(null_goal[None].clone())
         self.guidance_scale = guidance_scale
 
-    def schedule(self, done: float) -> None:
+    def schedule(self, done: float) -> bool:
         """Goals are lost from a share of the training on: a network must first find out what they are good for."""
-        self.drops_goals = self.goal_dropout > 0 and done >= self.goal_dropout_from
+        before, self.drops_goals = self.drops_goals, self.goal_dropout > 0 and done >= self.goal_dropout_from
+        return self.drops_goals != before
 
     def without_goal(self, goal: Tensor) -> Tensor:
         """What stands for no goal, in the shape (B, G, O) of a batch of goals."""

@@ -83,9 +83,9 @@ class Finetuned(nn.Module):
         """See beso.methods.Policy."""
         self.policy.prepare(actions, seed)
 
-    def schedule(self, done: float) -> None:
+    def schedule(self, done: float) -> bool:
         """See beso.methods.Policy."""
-        self.policy.schedule(done)
+        return self.policy.schedule(done)
 
     def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:
         """The policy's loss of a batch whose states and goals are steps (B, ..., 1).

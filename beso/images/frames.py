@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 
 from beso.data.play import read_npy, write_npy, write_npy_parts
@@ -162,6 +161,8 @@ def resize(frames: np.ndarray, size: int) -> np.ndarray:
     """Frames (B, H, W, 3) brought to (B, size, size, 3) by OpenCV's INTER_AREA."""
     if frames.shape[1:3] == (size, size):
         return frames
+    import cv2  # machines that only train may lack it
+
     return np.stack([cv2.resize(frame, (size, size), interpolation=cv2.INTER_AREA) for frame in frames])
 
 
@@ -189,6 +190,8 @@ def write_samples(frames: FrameFile, path: Path, rows: int = 4, columns: int = 8
     """Write some frames, from the first to the last, side by side as one PNG."""
     chosen = frames.read(np.linspace(0, len(frames) - 1, rows * columns).astype(int))
     sheet = np.concatenate([np.concatenate(list(chosen[r * columns : (r + 1) * columns]), axis=1) for r in range(rows)])
+    import cv2
+
     # OpenCV's files are blue, green, red.
     encoded = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1]
     with replacing(path) as temporary:

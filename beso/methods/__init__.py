@@ -91,8 +91,13 @@ class Policy(Protocol):
     def prepare(self, actions: Tensor, seed: int) -> None:
         """Look at all scaled training actions (N, A) before the first update."""
 
-    def schedule(self, done: float) -> None:
-        """Hear before every update which share of the training is done."""
+    def schedule(self, done: float) -> bool:
+        """Hear before every update which share of the training is done.
+
+        Returns:
+            Whether the loss computes something else from now on, so that a recording of it does not serve any longer.
+        """
+        return False
 
     def settle(self) -> None:
         """As averaged weights, before they are measured or saved: renew what is measured with the weights."""

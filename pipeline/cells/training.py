@@ -1,21 +1,28 @@
 """Training of one cell: its seeds side by side in worker processes, each resumable."""
 
+from __future__ import annotations
+
 import dataclasses
+import math
 import shutil
 from pathlib import Path
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from beso import checkpoint, envs
 from beso.data import play
 from beso.device import pick_device
 from beso.errors import UserError
 from beso.files import replacing, sha256, write_text
-from beso.training import train
+from beso.training import Training, side_by_side
 from beso.training_config import TrainingJob
 from pipeline import paths, scratch
 from pipeline.engine import map_jobs
 from pipeline.params import Machine, Params
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+STATE = "state.safetensors"
 
 
 def train_cell(params: Params, environment: str, method: str) -> None:
@@ -23,20 +30,15 @@ def train_cell(params: Params, environment: str, method: str) -> None:
 
     Finished seeds and the state of unfinished ones wait in the scratch folder until all are done.
     """
-    params.cell(environment, method)
-    jobs = [params.job(environment, method, seed) for seed in params.environments[environment].seeds]
-    data = paths.play(environment)
+    jobs = cell_jobs(params, environment, method)
+    data, machine = paths.play(environment), params.machine
+    device = pick_device(machine.device).type
     digest = play.data_digest(play.load(data, envs.spec(environment)))
-    device = pick_device(params.machine.device).type
-    parts = [["train", environment, dataclasses.asdict(job), digest, device] for job in jobs]
-    taught_by = params.teacher(environment, method)
-    teacher = paths.models(environment, taught_by) if taught_by else None
-    if taught_by and teacher:
-        for job, part in zip(jobs, parts, strict=True):
-            part.append(_teacher_digest(teacher, params.job(environment, taught_by, job.seed), digest))
-    folders = [scratch.folder(*part) for part in parts]
-    arguments = [(job, environment, data, params.machine, f, teacher) for job, f in zip(jobs, folders, strict=True)]
-    for _ in map_jobs(train_seed, arguments, params.machine, f"train {environment} {method}"):
+    folders = [scratch.folder(*identity(params, environment, method, job, digest, device)) for job in jobs]
+    groups = [slice(i, i + machine.seeds_together) for i in range(0, len(jobs), machine.seeds_together)]
+    teacher = teacher_folder(params, environment, method)
+    arguments = [(jobs[group], environment, data, machine, folders[group], teacher) for group in groups]
+    for _ in map_jobs(train_seeds, arguments, machine, f"train {environment} {method}"):
         pass
 
     with replacing(paths.models(environment, method)) as models:
@@ -49,20 +51,41 @@ def train_cell(params: Params, environment: str, method: str) -> None:
         shutil.rmtree(finished)
 
 
-def _teacher_digest(teacher: Path, job: TrainingJob, data_digest: str) -> str:
-    """SHA-256 of one trained teacher's weights.
+def cell_jobs(params: Params, environment: str, method: str) -> list[TrainingJob]:
+    """The training run of every seed of one cell. Raises UserError if params.yaml does not have it."""
+    params.cell(environment, method)
+    return [params.job(environment, method, seed) for seed in params.environments[environment].seeds]
+
+
+def teacher_folder(params: Params, environment: str, method: str) -> Path | None:
+    """The trained models that those of one cell learn from, if it is not play data."""
+    teacher = params.teacher(environment, method)
+    return paths.models(environment, teacher) if teacher else None
+
+
+def identity(
+    params: Params, environment: str, method: str, job: TrainingJob, data_digest: str, device: str
+) -> list[Any]:
+    """What a trained model of one cell depends on besides code and torch (see pipeline.scratch).
 
     Raises:
-        UserError: it is missing, or of other parameters or other play data.
+        UserError: its teacher is missing, or of other parameters or other play data.
     """
-    checkpoint.check(teacher, job)
-    if checkpoint.load_description(teacher, job.seed)["data"] != data_digest:
-        raise UserError(f"{teacher}, the teacher, was trained on other play data; train it again")
-    return sha256(checkpoint.paths(teacher, job.seed)[0])
+    parts = ["train", environment, dataclasses.asdict(job), data_digest, device]
+    teacher = params.teacher(environment, method)
+    if teacher is None:
+        return parts
+    folder = paths.models(environment, teacher)
+    checkpoint.check(folder, params.job(environment, teacher, job.seed))
+    if checkpoint.load_description(folder, job.seed)["data"] != data_digest:
+        raise UserError(f"{folder}, the teacher, was trained on other play data; train it again")
+    return [*parts, sha256(checkpoint.paths(folder, job.seed)[0])]
 
 
 def _curves(models: Path, jobs: list[TrainingJob]) -> pd.DataFrame:
     """By step: means over seeds, as `dvc plots` draws them, and each seed's held-out loss."""
+    import pandas as pd  # a machine that only trains may lack it
+
     seeds = {job.seed: pd.DataFrame(checkpoint.load_description(models, job.seed)["curve"]) for job in jobs}
     table = pd.concat(seeds.values()).groupby("step").mean()
     for seed, curve in seeds.items():
@@ -70,15 +93,39 @@ def _curves(models: Path, jobs: list[TrainingJob]) -> pd.DataFrame:
     return table
 
 
-def train_seed(
-    job: TrainingJob, environment: str, data: Path, machine: Machine, folder: Path, teacher: Path | None = None
-) -> None:
-    """Train one model into `folder`, unless it is there already. `teacher` is the folder of its teacher's models."""
-    if checkpoint.paths(folder, job.seed)[1].exists():
-        return
-    spec = envs.spec(environment)
+def train_seeds(
+    jobs: list[TrainingJob],
+    environment: str,
+    data: Path,
+    machine: Machine,
+    folders: list[Path],
+    teacher: Path | None = None,
+    until: float = math.inf,
+) -> bool:
+    """Train some models of one environment in turns, each into its folder, unless they are there already.
+
+    Args:
+        teacher: folder of their teachers' models.
+        until: when (of time.monotonic) the state of unfinished ones is saved and they are left.
+
+    Returns:
+        Whether all are there.
+    """
+    waiting = [
+        (job, folder)
+        for job, folder in zip(jobs, folders, strict=True)
+        if not checkpoint.paths(folder, job.seed)[1].exists()
+    ]
+    if not waiting:
+        return True
+    spec, device = envs.spec(environment), pick_device(machine.device)
     dataset = play.load(data, spec)
-    state = folder / "state.safetensors"
-    trained = train(job, dataset, spec, pick_device(machine.device), state, machine.save_seconds, data, teacher)
-    checkpoint.save(folder, job, spec.sizes, trained, play.data_digest(dataset))
-    state.unlink(missing_ok=True)
+    unfinished = {
+        Training(job, dataset, spec, device, folder / STATE, data, teacher, machine.cuda_graph): (job, folder)
+        for job, folder in waiting
+    }
+    for training in side_by_side(list(unfinished), machine.save_seconds, until):
+        job, folder = unfinished.pop(training)
+        checkpoint.save(folder, job, spec.sizes, training.result(), play.data_digest(dataset))
+        (folder / STATE).unlink(missing_ok=True)
+    return not unfinished

@@ -188,8 +188,36 @@ def test_a_window_that_does_not_fit_the_data_is_refused(run, make_job, small_mod
         run(make_job("c_beso", model={"transformer": transformer}), save_seconds=0)
 
 
-def test_bfloat16_autocast_trains(run, make_job):
-    trained = run(make_job("c_beso", precision="bf16"))
+def test_models_in_turns_have_the_bytes_that_they_have_alone(run, make_job, dataset, spec, tmp_path):
+    """Of different methods and lengths, one of them continued; a finished one leaves the others to go on."""
+    jobs = [make_job("c_beso"), make_job("lmp", seed=2, steps=5), make_job("c_beso", seed=3)]
+    alone = [run(job) for job in jobs]
+    made = [training.Training(job, dataset, spec, CPU, tmp_path / f"{i}") for i, job in enumerate(jobs)]
+    made[2].step()
+    finished = list(training.side_by_side(made))
+    assert finished == [made[1], made[2], made[0]]
+    for together, one in zip(made, alone, strict=True):
+        assert weights_bytes(together.result()) == weights_bytes(one)
+        assert together.result().curve == one.curve
+
+
+def test_models_in_turns_are_saved_when_time_is_over(run, make_job, dataset, spec, tmp_path):
+    jobs = [make_job("gcbc"), make_job("gcbc", seed=2, steps=1)]
+
+    def begin():
+        return [training.Training(job, dataset, spec, CPU, tmp_path / f"{i}") for i, job in enumerate(jobs)]
+
+    first = begin()
+    assert list(training.side_by_side(first, until=-math.inf)) == [first[1]]
+    second = begin()
+    assert [made.done for made in second] == [1, 1]
+    assert len(list(training.side_by_side(second))) == 2
+    assert [weights_bytes(made.result()) for made in second] == [weights_bytes(run(job)) for job in jobs]
+
+
+@pytest.mark.parametrize("name", methods.names())
+def test_bfloat16_autocast_trains(run, make_job, name):
+    trained = run(make_job(name, precision="bf16"))
     assert all(value.dtype == torch.float32 and value.isfinite().all() for value in trained.weights.values())
 
 

@@ -1,0 +1,76 @@
+"""`python -m pipeline.tools.import_cells FOLDER` brings back what `pipeline.tools.train_cells` trained elsewhere.
+
+Seeds of the parameters and play data that are here go to the scratch folder, where a killed stage would have left them.
+`dvc repro train` then finds nothing left to train, writes models and curves, and records them as ever.
+"""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+from beso import checkpoint, envs
+from beso.data import play
+from beso.device import pick_device
+from beso.errors import UserError
+from beso.files import replacing
+from beso.training_config import TrainingJob
+from pipeline import paths, scratch
+from pipeline.cells.training import cell_jobs, identity
+from pipeline.params import load
+from pipeline.stage import run
+
+DEVICES = ("cpu", "cuda")  # of trainings elsewhere
+
+
+def main(folder: str) -> None:
+    params = load()
+    device = pick_device(params.machine.device).type
+    if not Path(folder).is_dir():
+        raise UserError(f"{folder} is missing: expected the folder that train_cells wrote")
+    for name, cell in params.cells.items():
+        trained = Path(folder) / cell.env / cell.method
+        if not trained.is_dir():
+            continue
+        jobs = cell_jobs(params, cell.env, cell.method)
+        digest = play.data_digest(play.load(paths.play(cell.env), envs.spec(cell.env)))
+        found = {job.seed: _find(trained, job, digest) for job in jobs}
+        for job in jobs:
+            if source := found[job.seed]:
+                _compare_code(source, [identity(params, cell.env, cell.method, job, digest, d) for d in DEVICES])
+                with replacing(scratch.folder(*identity(params, cell.env, cell.method, job, digest, device))) as target:
+                    target.mkdir()
+                    for path in checkpoint.paths(source, job.seed):
+                        shutil.copyfile(path, target / path.name)
+        missing = [str(seed) for seed, source in found.items() if source is None]
+        print(f"{name}: " + (f"dvc repro would train seeds {', '.join(missing)} here" if missing else "all seeds"))
+
+
+def _find(trained: Path, job: TrainingJob, digest: str) -> Path | None:
+    """The folder of a finished model of this job and data."""
+    expected = json.loads(json.dumps(dataclasses.asdict(job)))
+    for folder in sorted(trained.glob(f"seed{job.seed}-*")):
+        if not checkpoint.paths(folder, job.seed)[1].is_file():
+            print(f"{folder}: not finished")
+            continue
+        description = checkpoint.load_description(folder, job.seed)
+        if description["job"] != expected:
+            print(f"{folder}: of other parameters")
+        elif description["data"] != digest:
+            print(f"{folder}: of other play data")
+        else:
+            return folder
+    return None
+
+
+def _compare_code(folder: Path, identities: list[list[Any]]) -> None:
+    """Say so if other files in beso/ trained a model: the folder's name covers them and its identity."""
+    seed, _, name = folder.name.partition("-")
+    version = checkpoint.load_description(folder, int(seed.removeprefix("seed")))["torch"]
+    if name not in {scratch.fingerprint(*identity, torch_version=version) for identity in identities}:
+        print(f"{folder}: taken, but beso/ has changed since; see that its training has not")
+
+
+if __name__ == "__main__":
+    run(main, "folder")

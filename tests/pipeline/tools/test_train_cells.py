@@ -1,0 +1,125 @@
+"""Training where little is installed, and bringing the models back."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beso import envs
+from beso.data import play
+from beso.errors import UserError
+from pipeline import cells, params, paths, profile
+from pipeline.cells.training import train_cell
+from pipeline.tools import import_cells, train_cells
+
+ROOT = Path(__file__).parents[3]
+CELL = "block_push-c_beso"
+ABSENT = ["dvc", "pybullet", "mujoco", "gymnasium", "cv2", "pandas", "scipy", "sklearn", "matplotlib", "jinja2", "ray"]
+
+
+def random_play(spec):
+    draws = np.random.default_rng(0)
+
+    def episode(steps):
+        observations = draws.standard_normal((steps, spec.observation_size)).cumsum(axis=0)
+        actions = draws.uniform(-1, 1, (steps, spec.action_size))
+        return play.Episode(observations, actions, np.zeros((steps, len(spec.tasks))))
+
+    return play.assemble([episode(20) for _ in range(6)], spec, {"source": "random paths"})
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder with params.yaml, two short seeds a cell, and play data; the current one."""
+    monkeypatch.chdir(ROOT)
+    text = profile.render("smoke")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("BESO_SCRATCH", raising=False)
+    Path("params.yaml").write_text(text)
+    spec = envs.spec("block_push")
+    play.save(random_play(spec), paths.play("block_push"))
+    return tmp_path
+
+
+def models(folder):
+    return {path.name: path.read_bytes() for path in Path(folder).rglob("seed*") if path.is_file()}
+
+
+def run(*arguments):
+    train_cells.main("--out", "trained", "--cells", CELL, *arguments)
+
+
+def test_it_runs_where_little_is_installed(place):
+    code = f"""
+import sys
+for name in {ABSENT}:
+    sys.modules[name] = None
+from pipeline.tools.train_cells import main
+main("--out", "trained", "--cells", "{CELL}")
+"""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=place, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == f"all trained: {CELL}\n", done.stderr
+    assert models("trained")
+
+
+def test_a_package_that_one_method_needs_is_named(place, monkeypatch):
+    monkeypatch.setitem(sys.modules, "sklearn.cluster", None)
+    with pytest.raises(UserError, match=r"block_push-c_bet needs the package sklearn.*: install it, or leave"):
+        train_cells.main("--out", "trained", "--cells", "block_push-c_bet")
+
+
+def test_what_time_cuts_off_continues_to_the_stages_bytes(place, capsys):
+    run("--hours", "0")
+    assert "time is over in block_push-c_beso" in capsys.readouterr().out
+    (state,) = Path("trained").rglob("state.safetensors")
+    assert (state.parent / "curve.csv").read_text().startswith("step,training_loss,")
+    run()
+    assert not list(Path("trained").rglob("state.safetensors"))
+    train_cell(params.load(), "block_push", "c_beso")
+    assert models("trained") == models("models")
+    (curve, *_) = Path("trained").rglob("curve.csv")
+    last = curve.read_text().splitlines()[-1]
+    assert last.startswith(f"{params.load().job('block_push', 'c_beso', 1).config.optimization.steps},")
+
+
+def test_unknown_cells_and_seeds_are_refused(place):
+    with pytest.raises(UserError, match=r"has no cell x: block_push-gcbc"):
+        train_cells.main("--out", "trained", "--cells", "x")
+    with pytest.raises(UserError, match=r"block_push-c_beso has no seed 99 in params.yaml"):
+        run("--seeds", "99")
+
+
+def test_the_stage_takes_what_was_brought_back(place, monkeypatch, capsys):
+    run()
+    import_cells.main("trained")
+    assert capsys.readouterr().out.endswith(f"{CELL}: all seeds\n")
+    monkeypatch.setattr(cells.training, "Training", None)  # nothing is trained
+    train_cell(params.load(), "block_push", "c_beso")
+    assert models("models") == models("trained")
+    assert paths.curve("block_push", "c_beso").read_text().startswith("step,learning_rate,training_loss,")
+
+
+def test_other_parameters_data_and_code_are_told(place, monkeypatch, capsys):
+    run()
+    text = Path("params.yaml").read_text()
+    Path("params.yaml").write_text(text.replace("train_fraction: 0.", "train_fraction: 0.1"))
+    import_cells.main("trained")
+    assert "of other parameters\nblock_push-c_beso: dvc repro would train seeds 1, 2 here" in capsys.readouterr().out
+
+    Path("params.yaml").write_text(text)
+    (folder,) = Path("trained/block_push/c_beso").glob("seed1-*")
+    folder.rename(folder.with_name("seed1-0123456789abcdef"))
+    import_cells.main("trained")
+    assert "taken, but beso/ has changed since" in capsys.readouterr().out
+
+    changed = random_play(envs.spec("block_push"))
+    changed.actions[0] = 0
+    play.save(changed, paths.play("block_push"))
+    import_cells.main("trained")
+    assert "of other play data\n" in capsys.readouterr().out
