@@ -162,24 +162,6 @@ class Table(NamedTuple):
 Episodes = Mapping[str, "pd.DataFrame"]  # rows of evaluation by the methods' labels, in the report's order
 
 
-class Report(Protocol):
-    """What only the report must know of an environment: the module `beso.envs.<name>.report`."""
-
-    LABEL: str  # the paper's name
-    GOAL_LABELS: dict[str, str]  # by goal set
-    METRICS: tuple[Metric, ...]
-    PUBLISHED: dict[str, float]  # statistics of the published play data, as far as known
-
-    def statistics(self, dataset: PlayDataset) -> dict[str, float]:
-        """The same statistics of a dataset, by their names."""
-
-    def drawings(self, dataset: PlayDataset, episodes: Episodes) -> list[Drawing]:
-        """Figures that only this environment has."""
-
-    def tables(self, dataset: PlayDataset, episodes: Episodes) -> list[Table]:
-        """Tables that only this environment has."""
-
-
 TrialMaker = Callable[[TrialRequest], list[Trial]]
 
 
