@@ -99,19 +99,25 @@ class Method(ScorePolicy):
     def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:
         """Mean squared distance of the student's scaled action from the teacher's, a scalar.
 
-        A batch has contexts of one length, drawn from 1 to the window, as they grow at the start of an episode.
+        Samples have contexts of 1 to the window's steps in turn, as contexts grow at the start of an episode.
         """
         assert self.taught is not None, "no teacher"
         count, window, size = batch.actions.shape
-        device = batch.actions.device
-        length = int(torch.randint(1, window + 1, (), generator=generator, device=device))
-        context = self.diffusion.action_range * batch.actions[:, : length - 1]
-        noise = self.diffusion.sigma_max * torch.randn(count, 1, size, generator=generator, device=device)
-        inputs = (noise, context, batch.observations[:, :length], batch.goal)
-        with torch.no_grad():
-            target = self.taught(*inputs)
-        distance = (_solve(self, self.levels, *inputs) - target) / self.diffusion.action_range
-        return distance.square().mean()
+        noise = torch.randn(count, 1, size, generator=generator, device=batch.actions.device)
+        total = torch.zeros((), device=noise.device)
+        for length in range(1, min(window, count) + 1):
+            rows = slice(length - 1, None, window)
+            context = self.diffusion.action_range * batch.actions[rows, : length - 1]
+            inputs = (
+                self.diffusion.sigma_max * noise[rows],
+                context,
+                batch.observations[rows, :length],
+                batch.goal[rows],
+            )
+            with torch.no_grad():
+                target = self.taught(*inputs)
+            total = total + (_solve(self, self.levels, *inputs) - target).square().sum()
+        return total / (count * size * self.diffusion.action_range**2)
 
 
 def _levels(steps: int, diffusion: DiffusionConfig) -> list[float]:

@@ -90,11 +90,12 @@ def test_waits_are_found(wait):
 
 
 @pytest.fixture
-def training(dataset, spec, tmp_path):
+def training(dataset, spec, teacher_of, tmp_path):
     """training(job, device, graph, state file) -> a training of the small dataset."""
 
     def training(job, device="cpu", graph=False, state="unused"):
-        return Training(job, dataset, spec, torch.device(device), tmp_path / state, graph=graph)
+        chosen = {"teacher": teacher_of(job), "graph": graph}
+        return Training(job, dataset, spec, torch.device(device), tmp_path / state, **chosen)
 
     return training
 
