@@ -1,6 +1,7 @@
 """Figures of the relay kitchen: how varied the demonstrations are, and what policies do beside them."""
 
 import itertools
+import textwrap
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -49,7 +50,7 @@ def order_matrices(demonstrated: Sequence[Order], episodes: Episodes) -> Figure:
     image = None
     for axis, (title, done) in zip(grid, shown.items(), strict=False):
         image = axis.imshow(transitions(done), vmin=0, vmax=1, cmap="Blues", aspect="equal")
-        axis.set_title(title)
+        axis.set_title(textwrap.fill(title, 14))
         axis.set_xticks(range(len(letters)), letters)
         axis.set_yticks(range(len(letters) + 1), ["start", *letters])
         axis.spines[:].set_visible(True)
