@@ -25,17 +25,17 @@ ENVIRONMENT = {
         PUBLISHED = {}
 
 
-        def statistics(dataset):
-            return {"demonstrations": len(dataset)}
+        def summary(dataset):
+            return {"statistics": {"demonstrations": len(dataset)}, "lengths": dataset.lengths.tolist()}
 
 
-        def drawings(dataset, episodes):
+        def drawings(play, episodes):
             figure = Figure()
-            figure.subplots().plot(dataset.lengths)
+            figure.subplots().plot(play["lengths"])
             return [Drawing("toy_lengths", f"Lengths, and {len(episodes)} methods.", figure)]
 
 
-        def tables(dataset, episodes):
+        def tables(episodes):
             return [Table("toy", "Toy rows.", ("Method", "Rows"), [(m, len(rows)) for m, rows in episodes.items()])]
         """,
     "simulator/__init__.py": """
