@@ -1,6 +1,7 @@
 """Start, goal and end of an episode of each single task: kept by evaluation, shown by the report."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -71,7 +72,7 @@ def draw(smoke):
     names = Names(smoke)
     methods = [cell.method for cell in smoke.films.values()]
     episodes = {names.methods[method]: pd.read_csv(paths.episodes("calvin", method)) for method in methods}
-    return figures.goals(smoke, names, "calvin", episodes)
+    return figures.goals(smoke, names, "calvin", episodes, Path())
 
 
 def test_goals_stand_beside_what_the_filmed_methods_left(smoke, tmp_path):
