@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from beso.config import require
+from beso.config import require, require_positive
 from beso.errors import UserError
 
 if TYPE_CHECKING:  # a cell that only checks parameters does not depend on these
@@ -37,6 +38,20 @@ class SamplingConfig:
         A Sampling that has a `context_length` may ask for another number.
         """
         return getattr(self, "context_length", None) or trained
+
+
+@dataclass(frozen=True)
+class ContextSampling(SamplingConfig):
+    """The Sampling of a method of which nothing but the context can be chosen.
+
+    Attributes:
+        context_length: time steps of the context in rollouts; null takes the training window.
+    """
+
+    context_length: int | None
+
+    def __post_init__(self) -> None:
+        require_positive(self, "context_length")
 
 
 class ModelConfig:

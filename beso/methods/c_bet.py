@@ -15,7 +15,7 @@ from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.errors import UserError
 from beso.memory import Memory
-from beso.methods import ModelConfig, Policy, SamplingConfig
+from beso.methods import ContextSampling, ModelConfig, Policy
 from beso.networks.sequence import SequenceTransformer
 from beso.noise import Noise, categorical
 
@@ -49,18 +49,7 @@ class Config(ModelConfig):
         require(self.offset_weight > 0, f"offset_weight = {self.offset_weight}: must be above 0")
 
 
-@dataclass(frozen=True)
-class Sampling(SamplingConfig):
-    """How actions are generated; the bin is always drawn.
-
-    Attributes:
-        context_length: time steps of the context in rollouts; null takes the training window.
-    """
-
-    context_length: int | None
-
-    def __post_init__(self) -> None:
-        require_positive(self, "context_length")
+Sampling = ContextSampling  # the bin is always drawn
 
 
 class Method(nn.Module, Policy):

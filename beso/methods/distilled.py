@@ -23,7 +23,7 @@ from beso.config import require, require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.diffusion.score_policy import DiffusionConfig, ScorePolicy, default_sampling
-from beso.methods import ModelConfig, SamplingConfig
+from beso.methods import ContextSampling, ModelConfig
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
 
 
@@ -61,18 +61,7 @@ class Config(ModelConfig):
             require(other == own, f"the teacher's {name} is {other} and the student's {own}; they must be the same")
 
 
-@dataclass(frozen=True)
-class Sampling(SamplingConfig):
-    """Sampler and steps are those of the training.
-
-    Attributes:
-        context_length: time steps of the context in rollouts; null takes the training window.
-    """
-
-    context_length: int | None
-
-    def __post_init__(self) -> None:
-        require_positive(self, "context_length")
+Sampling = ContextSampling  # sampler and steps are those of the training
 
 
 class Method(ScorePolicy):
