@@ -65,7 +65,7 @@ class Child:
     """One stage in a process group of its own, its output in a file."""
 
     def __init__(self, name: str, workers: int) -> None:
-        self.name, self.start = name, time.monotonic()
+        self.name, self.start, self.processor = name, time.monotonic(), 0.0
         self.log = LOGS / f"{name}.log"
         self.log.parent.mkdir(parents=True, exist_ok=True)
         with self.log.open("w") as output:
@@ -85,15 +85,28 @@ class Child:
         if self.process.poll() is None:
             os.killpg(self.process.pid, signal.SIGINT)
 
+    def ended(self) -> bool:
+        """Whether it has ended; `processor` is then what it and all its processes used, in seconds."""
+        if self.process.returncode is None:
+            pid, status, usage = os.wait4(self.process.pid, os.WNOHANG)
+            if pid:
+                self.process.returncode = os.waitstatus_to_exitcode(status)
+                self.processor = usage.ru_utime + usage.ru_stime
+        return self.process.returncode is not None
+
     def time(self) -> str:
         """Minutes and seconds since it started."""
-        minutes, seconds = divmod(round(time.monotonic() - self.start), 60)
-        return f"{minutes}:{seconds:02d}"
+        return _minutes(time.monotonic() - self.start)
 
     def failure(self) -> str:
         """What to tell the user: the stage, where its output is, and the end of that."""
         last = self.log.read_text(errors="replace").splitlines()[-LAST_LINES:]
         return "\n    ".join([f"{self.name} failed after {self.time()}; the end of {self.log}:", *last])
+
+
+def _minutes(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"
 
 
 class Progress:
@@ -141,11 +154,11 @@ def execute(
     progress = Progress(len(waiting))
     try:
         while True:
-            for child in [c for c in running if c.process.poll() is not None]:
+            for child in [c for c in running if c.ended()]:
                 running.remove(child)
                 if child.process.returncode == 0:
                     done.add(child.name)
-                    progress.event(f"{child.name} done in {child.time()}")
+                    progress.event(f"{child.name} done in {child.time()}, {_minutes(child.processor)} of processor")
                 else:
                     failed.append(child.name)
                     progress.show(child.failure())
