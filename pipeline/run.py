@@ -24,13 +24,12 @@ LOGS = paths.SCRATCH / "logs"
 LAST_LINES = 12  # of the output of a stage that failed
 
 
-def plan(targets: list[str]) -> tuple[dict[str, set[str]], set[str], set[str]]:
+def plan(targets: list[str]) -> tuple[dict[str, set[str]], set[str]]:
     """Addresses of the stages of `dvc repro TARGETS` that are out of date or follow such a one.
 
     Returns:
-        In topological order: each with those among them that it waits for. Those that run first, alone: so many of the
-        others follow them (more than a quarter, for there may be as many environments) that beside them is too little
-        to do. And those that run last, alone: they measure time (`meta: {alone: true}` in dvc.yaml).
+        Each with those among them that it waits for, the one with the longest chain of others behind it first. And
+        those that run last, alone: they measure time (`meta: {alone: true}` in dvc.yaml).
 
     Raises:
         UserError: no such stage, or DVC cannot read its files.
@@ -43,22 +42,16 @@ def plan(targets: list[str]) -> tuple[dict[str, set[str]], set[str], set[str]]:
     except DvcException as error:
         raise UserError(str(error)) from None
     waits_for: dict[str, set[str]] = {}
-    for stage in stages:
+    for stage in stages:  # in topological order
         before = {upstream.addressing for upstream in graph.successors(stage)} & waits_for.keys()
         if before or stage.addressing in stale:
             waits_for[stage.addressing] = before
-    last = {stage.addressing for stage in stages if (stage.meta or {}).get("alone")}
-    first = {name for name in waits_for if 4 * len(_followers(name, waits_for)) > len(waits_for)} - last
-    return waits_for, first, last
-
-
-def _followers(name: str, waits_for: dict[str, set[str]]) -> set[str]:
-    """The stages that cannot run before this one has."""
-    found = {name}
-    for other, before in waits_for.items():  # in topological order
-        if before & found:
-            found.add(other)
-    return found - {name}
+    behind = dict.fromkeys(waits_for, 0)
+    for name in reversed(waits_for):
+        for upstream in waits_for[name]:
+            behind[upstream] = max(behind[upstream], behind[name] + 1)
+    alone = {stage.addressing for stage in stages if (stage.meta or {}).get("alone")}
+    return {name: waits_for[name] for name in sorted(waits_for, key=lambda name: -behind[name])}, alone
 
 
 class Child:
@@ -137,13 +130,11 @@ class Progress:
             self.show("", end="")
 
 
-def execute(
-    waits_for: dict[str, set[str]], first: set[str], last: set[str], jobs: int, cores: int
-) -> tuple[list[str], list[str]]:
+def execute(waits_for: dict[str, set[str]], alone: set[str], jobs: int, cores: int) -> tuple[list[str], list[str]]:
     """Run stages, up to `jobs` at once.
 
     Args:
-        waits_for, first, last: see `plan`.
+        waits_for, alone: see `plan`.
         cores: shared among the stages that run at one time.
 
     Returns:
@@ -163,11 +154,9 @@ def execute(
                     failed.append(child.name)
                     progress.show(child.failure())
             can_run = [name for name, before in waiting.items() if before <= done]
-            ready = [name for name in can_run if name not in last][: jobs - len(running)]
-            if any(child.name in first | last for child in running):
+            ready = [name for name in can_run if name not in alone][: jobs - len(running)]
+            if any(child.name in alone for child in running):
                 ready = []
-            elif bottlenecks := [name for name in can_run if name in first]:
-                ready = [] if running else bottlenecks[:1]
             elif not running and not ready:
                 ready = can_run[:1]
             workers = max(1, cores // max(1, len(running) + len(ready)))
@@ -194,7 +183,7 @@ def main(*arguments: str) -> None:
     options = parser.parse_args(arguments)
     if options.jobs < 1:
         parser.error("argument -j/--jobs: must be at least 1")
-    todo, first, last = plan(options.stages)
+    todo, alone = plan(options.stages)
     if not todo:
         print("everything is up to date")
         return
@@ -203,7 +192,7 @@ def main(*arguments: str) -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):  # in their own process groups the stages would go on
         if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores the second
             signal.signal(number, signal.default_int_handler)
-    failed, skipped = execute(todo, first, last, options.jobs, available_workers())
+    failed, skipped = execute(todo, alone, options.jobs, available_workers())
     if failed:
         raise UserError(f"failed: {', '.join(failed)}" + (f"; not run: {', '.join(skipped)}" if skipped else ""))
     if stale := plan(options.stages)[0]:
