@@ -90,14 +90,14 @@ def test_studies_stand_beside_the_papers_numbers(finished):
     assert part["ours"].iloc[0] == pytest.approx(heun["reward"].mean(), abs=1e-6)
 
 
-def test_a_study_of_other_values_is_not_taken_for_the_papers(workspace):
+def test_a_study_of_other_values_is_not_taken_for_the_papers(workspace, monkeypatch):
     workspace.set("studies.schedules_block_push.vary", {"schedule": ["exponential"], "steps": [3]})
     workspace.set("studies.noise_block_push.vary", {"sampler": ["euler", "dpmpp_2s", "euler_ancestral"]})
     workspace.set("studies.samplers_log_normal_block_push.vary", {"sampler": ["ddim"]})
     for name in ("schedules_block_push", "noise_block_push", "samplers_log_normal_block_push"):
         workspace.python("-m", "stages.study", name)
-    workspace.python("-m", "stages.tables")
-    table = pd.read_csv(workspace.folder / "reports/comparison.csv")
+    monkeypatch.chdir(workspace.folder)
+    table = gather(params.load())["comparison"]
     assert table.loc[table["study"] == "schedules_block_push", "verdict"].eq("not run").all(), "it varies more"
     noise = table[table["study"] == "noise_block_push"].set_index("column")["verdict"].eq("not run")
     assert noise["Stochastic"].all(), "one of two samplers is missing"
