@@ -167,6 +167,7 @@ def leave_out(workspace):
         "cells": [f"block_push-{method}" for method in SMALL],
         "studies": ["samplers_block_push"],
         "films": ["block_push-c_beso"],
+        "methods": [*SMALL, "distilled", *values["fork"]["methods"]],
     }
     for part, names in kept.items():
         for name in values[part].keys() - set(names):
