@@ -39,7 +39,7 @@ def save(figure: Figure, folder: Path, name: str) -> None:
     for kind, keys in without.items():
         drawn = io.BytesIO()  # matplotlib hides a full disk behind errors of its own
         figure.savefig(drawn, format=kind, metadata=dict.fromkeys(keys))
-        figure.set_layout_engine("none")  # the layout stays; finding it is a good part of the time
+        figure.set_layout_engine(None)  # the layout stays; finding it is a good part of the time
         (folder / f"{name}.{kind}").write_bytes(drawn.getvalue())
 
 

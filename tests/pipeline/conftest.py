@@ -1,5 +1,7 @@
 """Workspaces: copies of the repository in which the smoke profile runs for real."""
 
+import fcntl
+import json
 import os
 import shutil
 import signal
@@ -94,6 +96,14 @@ class Workspace:
         output = self.dvc("repro", *arguments).stdout
         return [line.split("'")[1] for line in output.splitlines() if line.startswith("Running stage")]
 
+    def stages(self):
+        """Names of all stages."""
+        return set(self.dvc("stage", "list", "--name-only").stdout.split())
+
+    def stale(self, *targets):
+        """Names of the stages of which an input differs from what dvc.lock says."""
+        return set(json.loads(self.dvc("status", "--json", *targets).stdout))
+
     def set(self, key, value):
         """Change one parameter as an editor would."""
         yaml = YAML()
@@ -122,16 +132,79 @@ class Workspace:
         }
 
 
+def made_once(factory, name, make):
+    """A copy of a workspace that the first of pytest-xdist's processes to need it makes, with `make(folder)`."""
+    base = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent  # of all processes
+    folder, done = base / name, base / f"{name}.done"
+    with (base / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            done.touch()
+    return Workspace(folder).copy(factory.mktemp(name))
+
+
+def run_all(folder):
+    workspace = Workspace.fresh(folder)
+    workspace.python("-m", "pipeline.run", "-j", "2")
+    workspace.commit()
+
+
+SMALL = ("gcbc", "c_beso", "c_beso_film", "c_beso_one_step")
+
+
+def leave_out(workspace):
+    """Make of a finished workspace one of block push alone, with few cells, one study and one film."""
+    yaml, path, lock = YAML(), workspace.folder / "params.yaml", workspace.folder / "dvc.lock"
+    values = yaml.load(path.read_text())
+    kept = {
+        "environments": ["block_push"],
+        "images": [],
+        "cells": [f"block_push-{method}" for method in SMALL],
+        "studies": ["samplers_block_push"],
+        "films": ["block_push-c_beso"],
+        "methods": [*SMALL, "distilled", *values["fork"]["methods"]],
+    }
+    for part, names in kept.items():
+        for name in values[part].keys() - set(names):
+            del values[part][name]
+    with path.open("w") as file:
+        yaml.dump(values, file)
+    names = workspace.stages()
+    noted = yaml.load(lock.read_text())
+    for name in noted["stages"].keys() - names:
+        for out in noted["stages"].pop(name)["outs"]:
+            found = workspace.folder / out["path"]
+            shutil.rmtree(found) if found.is_dir() else found.unlink()
+    with lock.open("w") as file:
+        yaml.dump(noted, file)
+    assert workspace.repro() == ["latency", "tables", "page"]
+    workspace.commit()
+
+
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory):
     """The smoke profile after one run. Tests that change something take a copy."""
-    workspace = Workspace.fresh(tmp_path_factory.mktemp("finished"))
-    workspace.python("-m", "pipeline.run", "-j", "2")
-    workspace.commit()
-    return workspace
+    return made_once(tmp_path_factory, "finished", run_all)
 
 
 @pytest.fixture
 def workspace(finished, tmp_path):
     """A copy of the finished workspace to change."""
     return finished.copy(tmp_path / "workspace")
+
+
+@pytest.fixture(scope="session")
+def finished_small(finished, tmp_path_factory):
+    """Block push alone with the methods of SMALL: what DVC and the report do there takes seconds."""
+    return made_once(tmp_path_factory, "small", lambda folder: leave_out(finished.copy(folder)))
+
+
+@pytest.fixture
+def small(finished_small, tmp_path):
+    """A copy of the small finished workspace to change."""
+    return finished_small.copy(tmp_path / "workspace")

@@ -157,74 +157,74 @@ def changed(workspace):
     return {line[3:] for line in lines.splitlines() if "__pycache__" not in line}
 
 
-def test_an_environment_is_one_folder_and_its_parameters(workspace):
-    values = parameters(workspace)
+def test_an_environment_is_one_folder_and_its_parameters(small):
+    values = parameters(small)
     for name, text in ENVIRONMENT.items():
-        write(workspace.folder / "beso/envs/toy" / name, text)
-    (workspace.folder / "beso/envs/toy/__init__.py").touch()
+        write(small.folder / "beso/envs/toy" / name, text)
+    (small.folder / "beso/envs/toy/__init__.py").touch()
     block_push = values["environments"]["block_push"]
     evaluation = {**block_push["evaluation"], "goals": ["training"], "max_actions": None}
-    workspace.set("environments", {**values["environments"], "toy": {**block_push, "evaluation": evaluation}})
+    small.set("environments", {**values["environments"], "toy": {**block_push, "evaluation": evaluation}})
     gcbc = values["methods"]["gcbc"]
     for part in ("train", "sample"):
-        workspace.set(f"methods.gcbc.{part}", {**gcbc[part], "toy": gcbc[part]["block_push"]})
-    add_cell(workspace, "toy", "gcbc", "gcbc")
-    ran = workspace.repro()
+        small.set(f"methods.gcbc.{part}", {**gcbc[part], "toy": gcbc[part]["block_push"]})
+    add_cell(small, "toy", "gcbc", "gcbc")
+    ran = small.repro()
     assert set(ran) == {"collect@toy", "trials@toy", "train@toy-gcbc", "evaluate@toy-gcbc", "latency", "tables", "page"}
-    assert all(name.startswith("beso/envs/toy/") for name in changed(workspace))
-    rows = pd.read_csv(workspace.folder / "results/toy/gcbc.csv")
+    assert all(name.startswith("beso/envs/toy/") for name in changed(small))
+    rows = pd.read_csv(small.folder / "results/toy/gcbc.csv")
     assert len(rows) == 2 * 2  # seeds, rollouts
     assert rows["success"].isin([0, 1]).all()
-    table = (workspace.folder / "reports/tables.tex").read_text()
+    table = (small.folder / "reports/tables.tex").read_text()
     assert "Toy & Success & ours, training goals" in table
     assert "GCBC & 4" in table  # the room's own table
-    assert (workspace.folder / "reports/figures/toy_lengths.pdf").is_file()
-    assert '"failed_takes": 6' in (workspace.folder / "data/play/toy/meta.json").read_text()
+    assert (small.folder / "reports/figures/toy_lengths.pdf").is_file()
+    assert '"failed_takes": 6' in (small.folder / "data/play/toy/meta.json").read_text()
 
 
-def test_a_method_is_one_file_and_its_parameters(workspace):
-    values = parameters(workspace)
-    write(workspace.folder / "beso/methods/linear.py", METHOD)
+def test_a_method_is_one_file_and_its_parameters(small):
+    values = parameters(small)
+    write(small.folder / "beso/methods/linear.py", METHOD)
     optimization = values["methods"]["gcbc"]["train"]["block_push"]["optimization"]
     train = {"model": {"window": 1}, "optimization": optimization}
     block = {"label": "Linear", "train": {"block_push": train}, "sample": {"block_push": {"gain": 1.0}}}
-    workspace.set("methods", {**values["methods"], "linear": block})
-    add_cell(workspace, "block_push", "linear", "linear")
+    small.set("methods", {**values["methods"], "linear": block})
+    add_cell(small, "block_push", "linear", "linear")
     cells = {"train@block_push-linear", "evaluate@block_push-linear"}
-    assert set(workspace.repro()) == cells | {"latency", "fork", "tables", "page"}
-    assert changed(workspace) == {"beso/methods/linear.py"}
-    assert "& Linear" in (workspace.folder / "reports/tables.tex").read_text()
-    workspace.set("methods.linear.sample.block_push.gain", 2.0)
-    assert workspace.repro() == ["evaluate@block_push-linear", "tables", "page"]
+    assert set(small.repro()) == cells | {"latency", "fork", "tables", "page"}
+    assert changed(small) == {"beso/methods/linear.py"}
+    assert "& Linear" in (small.folder / "reports/tables.tex").read_text()
+    small.set("methods.linear.sample.block_push.gain", 2.0)
+    assert small.repro() == ["evaluate@block_push-linear", "tables", "page"]
 
 
-def test_a_variant_is_parameters_alone(workspace):
-    values = parameters(workspace)
+def test_a_variant_is_parameters_alone(small):
+    values = parameters(small)
     wide = {"model": {"transformer": {"width": 24}}}
     block = {"label": "C-BESO, wide", "train": {"block_push": wide}, "sample": {"block_push": {}}}
-    workspace.set("methods", {**values["methods"], "c_beso_wide": block})
-    add_cell(workspace, "block_push", "c_beso_wide", "c_beso")
+    small.set("methods", {**values["methods"], "c_beso_wide": block})
+    add_cell(small, "block_push", "c_beso_wide", "c_beso")
     cells = ["train@block_push-c_beso_wide", "evaluate@block_push-c_beso_wide"]
-    assert set(workspace.repro("tables")) == {*cells, "latency", "tables"}
-    assert changed(workspace) == set()
-    comparison = pd.read_csv(workspace.folder / "reports/comparison.csv")
+    assert set(small.repro("tables")) == {*cells, "latency", "tables"}
+    assert changed(small) == set()
+    comparison = pd.read_csv(small.folder / "reports/comparison.csv")
     ours = comparison[(comparison["method"] == "c_beso_wide") & comparison["ours"].notna()]
     assert len(ours) == 2 * 2  # metrics, goal sets
     # A change of the method it changes reaches the variant too.
-    workspace.set("methods.c_beso.sample.block_push.steps", 4)
-    assert workspace.repro("evaluate@block_push-c_beso_wide") == ["evaluate@block_push-c_beso_wide"]
-    workspace.set("methods.c_beso_wide.train.block_push.model.depth", 3)
-    done = workspace.run("dvc", "repro", check=False)
+    small.set("methods.c_beso.sample.block_push.steps", 4)
+    assert small.repro("evaluate@block_push-c_beso_wide") == ["evaluate@block_push-c_beso_wide"]
+    small.set("methods.c_beso_wide.train.block_push.model.depth", 3)
+    done = small.run("dvc", "repro", check=False)
     assert "methods.c_beso_wide.train.block_push.model.depth = 3: unknown key" in done.stdout
 
 
-def test_a_student_follows_its_teacher(workspace):
+def test_a_student_follows_its_teacher(small):
     student = ["train@block_push-c_beso_one_step", "evaluate@block_push-c_beso_one_step"]
-    workspace.set("methods.c_beso_one_step.train.block_push", {"optimization": {"steps": 31}})
-    assert [stage for stage in workspace.repro() if "@" in stage] == student
-    workspace.set("methods.c_beso.train.block_push.optimization.steps", 31)
-    ran = workspace.repro(student[1])
+    small.set("methods.c_beso_one_step.train.block_push", {"optimization": {"steps": 31}})
+    assert [stage for stage in small.repro() if "@" in stage] == student
+    small.set("methods.c_beso.train.block_push.optimization.steps", 31)
+    ran = small.repro(student[1])
     assert ran.index("train@block_push-c_beso") < ran.index(student[0]) < ran.index(student[1])
-    assert workspace.repro(student[1]) == []
-    text = (workspace.folder / "reports/tables.tex").read_text()
+    assert small.repro(student[1]) == []
+    text = (small.folder / "reports/tables.tex").read_text()
     assert "C-BESO and its students in Block-Push: the same starts and noise in every row" in text

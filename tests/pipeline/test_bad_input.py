@@ -27,45 +27,45 @@ def stage(workspace, name, *arguments):
     return fails(workspace, sys.executable, "-m", f"stages.{name}", *arguments)
 
 
-def test_unknown_parameter(workspace):
-    workspace.set("methods.gcbc.train.block_push.model.depth", 3)
-    line = stage(workspace, "train", "block_push", "gcbc")
+def test_unknown_parameter(small):
+    small.set("methods.gcbc.train.block_push.model.depth", 3)
+    line = stage(small, "train", "block_push", "gcbc")
     assert "params.yaml.methods.gcbc.train.block_push.model.depth = 3: unknown key" in line
-    workspace.set("methods.gcbc.train.block_push.model", {"width": 32, "layers": 2, "dropout": 0.1})
-    workspace.python("-m", "pipeline.params")
+    small.set("methods.gcbc.train.block_push.model", {"width": 32, "layers": 2, "dropout": 0.1})
+    small.python("-m", "pipeline.params")
 
 
-def test_wrong_type_through_dvc(workspace):
-    parameters = workspace.folder / "params.yaml"
+def test_wrong_type_through_dvc(small):
+    parameters = small.folder / "params.yaml"
     good = parameters.read_bytes()
-    workspace.set("methods.gcbc.train.block_push.optimization.steps", "many")
-    before = workspace.files("data", "results", "reports")
-    done = workspace.dvc("repro", check=False)
+    small.set("methods.gcbc.train.block_push.optimization.steps", "many")
+    before = small.files("data", "results", "reports")
+    done = small.dvc("repro", check=False)
     assert done.returncode != 0
     assert "optimization.steps = 'many': expected an integer" in done.stdout
     assert "Traceback" not in done.stdout
-    assert workspace.files("data", "results", "reports") == before
+    assert small.files("data", "results", "reports") == before
     parameters.write_bytes(good)
-    assert workspace.repro() == []  # what the failed stage's start removed comes back from DVC's cache
+    assert small.repro() == []  # what the failed stage's start removed comes back from DVC's cache
 
 
-def test_a_teacher_of_other_parameters_or_data(workspace):
+def test_a_teacher_of_other_parameters_or_data(small):
     cell, models = ("train", "block_push", "c_beso_one_step"), "models/block_push/c_beso"
-    workspace.set("methods.c_beso.train.block_push.optimization.steps", 31)
-    line = stage(workspace, *cell)
+    small.set("methods.c_beso.train.block_push.optimization.steps", 31)
+    line = stage(small, *cell)
     assert line.startswith(
         f"error: {models}/seed1.json is a checkpoint of another configuration: config.optimization.st"
     )
-    workspace.set("methods.c_beso.train.block_push.optimization.steps", 30)
-    description = workspace.folder / models / "seed1.json"
+    small.set("methods.c_beso.train.block_push.optimization.steps", 30)
+    description = small.folder / models / "seed1.json"
     description.write_text(description.read_text().replace('"data": "', '"data": "x'))
-    assert stage(workspace, *cell) == f"error: {models}, the teacher, was trained on other play data; train it again"
+    assert stage(small, *cell) == f"error: {models}, the teacher, was trained on other play data; train it again"
     description.unlink()
-    assert stage(workspace, *cell) == f"error: {models}/seed1.json is missing: train this model first"
+    assert stage(small, *cell) == f"error: {models}/seed1.json is missing: train this model first"
 
 
-def test_nan_in_a_dataset(workspace):
-    folder = workspace.folder / DATA
+def test_nan_in_a_dataset(small):
+    folder = small.folder / DATA
     dataset = play.load(folder, spec("block_push"))
     observations = np.array(dataset.observations)
     observations[7, 3] = np.nan
@@ -73,41 +73,41 @@ def test_nan_in_a_dataset(workspace):
         observations, np.array(dataset.actions), np.array(dataset.tasks), np.array(dataset.episode_ends), {}
     )
     play.save(broken, folder)
-    line = stage(workspace, "train", "block_push", "gcbc")
+    line = stage(small, "train", "block_push", "gcbc")
     assert "observations has a value that is not finite (NaN or infinity), first at step 7" in line
 
 
-def test_truncated_array(workspace):
-    path = workspace.folder / DATA / "actions.npy"
+def test_truncated_array(small):
+    path = small.folder / DATA / "actions.npy"
     path.write_bytes(path.read_bytes()[:-100])
-    assert "actions.npy is truncated" in stage(workspace, "train", "block_push", "gcbc")
+    assert "actions.npy is truncated" in stage(small, "train", "block_push", "gcbc")
 
 
-def test_missing_dataset(workspace):
-    (workspace.folder / DATA).rename(workspace.folder / "elsewhere")
-    assert "data/play/block_push is not a play dataset" in stage(workspace, "train", "block_push", "gcbc")
+def test_missing_dataset(small):
+    (small.folder / DATA).rename(small.folder / "elsewhere")
+    assert "data/play/block_push is not a play dataset" in stage(small, "train", "block_push", "gcbc")
 
 
-def test_missing_and_altered_trials(workspace):
-    folder = workspace.folder / "data/trials/block_push"
+def test_missing_and_altered_trials(small):
+    folder = small.folder / "data/trials/block_push"
     goals = folder / "goal.npy"
     goals.write_bytes(goals.read_bytes()[:-4] + b"\0\0\0\1")
-    assert "goal.npy is not the file that trials.json describes" in stage(workspace, "evaluate", "block_push", "gcbc")
-    folder.rename(workspace.folder / "elsewhere")
-    line = stage(workspace, "evaluate", "block_push", "gcbc")
+    assert "goal.npy is not the file that trials.json describes" in stage(small, "evaluate", "block_push", "gcbc")
+    folder.rename(small.folder / "elsewhere")
+    line = stage(small, "evaluate", "block_push", "gcbc")
     assert "data/trials/block_push has no trials.json: run `dvc repro trials`" in line
 
 
-def test_checkpoint_of_another_configuration(workspace):
-    workspace.set("methods.gcbc.train.block_push.model.width", 33)
-    line = stage(workspace, "evaluate", "block_push", "gcbc")
+def test_checkpoint_of_another_configuration(small):
+    small.set("methods.gcbc.train.block_push.model.width", 33)
+    line = stage(small, "evaluate", "block_push", "gcbc")
     assert "checkpoint of another configuration: config.model.width is 32 there and 33 here" in line
 
 
-def test_damaged_checkpoint(workspace):
-    path = workspace.folder / "models/block_push/gcbc/seed1.safetensors"
+def test_damaged_checkpoint(small):
+    path = small.folder / "models/block_push/gcbc/seed1.safetensors"
     path.write_bytes(path.read_bytes()[:100])
-    assert "seed1.safetensors is missing or damaged" in stage(workspace, "evaluate", "block_push", "gcbc")
+    assert "seed1.safetensors is missing or damaged" in stage(small, "evaluate", "block_push", "gcbc")
 
 
 @pytest.mark.parametrize(
@@ -123,9 +123,9 @@ def test_published_folder_that_is_not_there(workspace, env, message):
     assert message in stage(workspace, "collect", env)
 
 
-def test_missing_results(workspace):
-    (workspace.folder / "results/block_push/gcbc.csv").unlink()
-    line = stage(workspace, "tables")
+def test_missing_results(small):
+    (small.folder / "results/block_push/gcbc.csv").unlink()
+    line = stage(small, "tables")
     assert line == ("error: results/block_push/gcbc.csv is missing: run `dvc repro evaluate@block_push-gcbc`")
 
 

@@ -23,45 +23,46 @@ def wait_for_state(workspace, since=0.0, timeout=60):
     pytest.fail("no training state was saved")
 
 
-@pytest.fixture
-def slow(workspace):
+def slow(workspace, env, method):
     """One seed, enough steps to be caught in the middle, state saved after every step."""
-    workspace.set("environments.block_push.seeds", [1])
-    workspace.set("methods.c_beso.train.block_push.optimization.steps", 400)
-    workspace.set("methods.c_bet.train.kitchen.optimization.steps", 400)
+    workspace.set(f"environments.{env}.seeds", [1])
+    workspace.set(f"methods.{method}.train.{env}.optimization.steps", 240)
     workspace.set("machine.save_seconds", 0)
     return workspace
 
 
 @pytest.mark.parametrize(("env", "method"), [("block_push", "c_beso"), ("kitchen", "c_bet")])
-def test_killed_five_times_and_resumed_gives_the_undisturbed_checkpoint(slow, tmp_path, env, method):
+def test_killed_three_times_and_resumed_gives_the_undisturbed_checkpoint(workspace, tmp_path, env, method):
     train = (*TRAIN[:-2], env, method)
-    undisturbed = slow.copy(tmp_path / "undisturbed")
+    slow(workspace, env, method)
+    undisturbed = workspace.copy(tmp_path / "undisturbed")
     undisturbed.run(*train)
     rng, last = random.Random(0), 0.0
-    for _ in range(5):
-        process = slow.start(*train)
-        last = wait_for_state(slow, last)
+    for _ in range(3):
+        process = workspace.start(*train)
+        last = wait_for_state(workspace, last)
         time.sleep(rng.uniform(0, 0.4))
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
-    output = slow.run(*train).stdout
+    output = workspace.run(*train).stdout
     assert "continuing at step" in output
-    assert slow.files("models", "curves") == undisturbed.files("models", "curves")
-    assert {path.name for path in slow.folder.glob(".scratch/*")} <= {"logs"}  # those of the run that made this copy
+    assert workspace.files("models", "curves") == undisturbed.files("models", "curves")
+    left = {path.name for path in workspace.folder.glob(".scratch/*")}
+    assert left <= {"logs"}  # those of the run that made this copy
 
 
-def test_ctrl_c_is_one_line_and_the_next_repro_continues(slow):
-    before = slow.files("data", "results", "reports")
-    process = slow.start("dvc", "repro", "train@block_push-c_beso")
-    wait_for_state(slow)
+def test_ctrl_c_is_one_line_and_the_next_repro_continues(small):
+    slow(small, "block_push", "c_beso")
+    before = small.files("data", "results", "reports")
+    process = small.start("dvc", "repro", "train@block_push-c_beso")
+    wait_for_state(small)
     os.killpg(process.pid, signal.SIGINT)
     output, _ = process.communicate(timeout=60)
     assert process.returncode != 0
     assert output.count("interrupted; run the same command again") == 1
     assert "Traceback" not in output
-    assert slow.files("data", "results", "reports") == before
-    output = slow.dvc("repro", "train@block_push-c_beso").stdout
+    assert small.files("data", "results", "reports") == before
+    output = small.dvc("repro", "train@block_push-c_beso").stdout
     assert "continuing at step" in output
 
 
@@ -73,11 +74,11 @@ def test_ctrl_c_is_one_line_and_the_next_repro_continues(slow):
         ((sys.executable, "-m", "stages.tables"), 5_000, ("data", "models", "results")),
     ],
 )
-def test_a_full_disk_is_one_line_and_replaces_nothing(workspace, command, limit, kept):
+def test_a_full_disk_is_one_line_and_replaces_nothing(small, command, limit, kept):
     """A limit on the size of files stands for the full disk: writing fails half-way in the same place."""
-    workspace.set("environments.block_push.training.validation.every", 30)
-    before = workspace.files(*kept)
-    done = workspace.run(
+    small.set("environments.block_push.training.validation.every", 30)
+    before = small.files(*kept)
+    done = small.run(
         *command,
         check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
@@ -85,6 +86,6 @@ def test_a_full_disk_is_one_line_and_replaces_nothing(workspace, command, limit,
     assert done.returncode == 1
     assert "error: File too large" in done.stdout
     assert "Traceback" not in done.stdout
-    assert workspace.files(*kept) == before
-    assert not [path for path in workspace.folder.rglob("*.partial") if ".dvc" not in path.parts]
-    workspace.run(*command)
+    assert small.files(*kept) == before
+    assert not [path for path in small.folder.rglob("*.partial") if ".dvc" not in path.parts]
+    small.run(*command)

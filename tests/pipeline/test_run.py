@@ -72,7 +72,8 @@ class Repository:
 
     @property
     def environment(self):
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "SHELL": "/bin/sh"}
+        # Without DVC_NO_ANALYTICS every command leaves a process behind that reports it to DVC's makers.
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "SHELL": "/bin/sh", "DVC_NO_ANALYTICS": "1"}
         environment.pop("BESO_WORKERS", None)
         return environment
 
