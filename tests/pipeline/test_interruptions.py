@@ -26,19 +26,19 @@ def wait_for_state(workspace, since=0.0, timeout=240):
 def slow(workspace, env, method):
     """One seed, enough steps to be caught in the middle, state saved after every step."""
     workspace.set(f"environments.{env}.seeds", [1])
-    workspace.set(f"methods.{method}.train.{env}.optimization.steps", 240)
+    workspace.set(f"methods.{method}.train.{env}.optimization.steps", 400)
     workspace.set("machine.save_seconds", 0)
     return workspace
 
 
 @pytest.mark.parametrize(("env", "method"), [("block_push", "c_beso"), ("kitchen", "c_bet")])
-def test_killed_three_times_and_resumed_gives_the_undisturbed_checkpoint(workspace, tmp_path, env, method):
+def test_killed_five_times_and_resumed_gives_the_undisturbed_checkpoint(workspace, tmp_path, env, method):
     train = (*TRAIN[:-2], env, method)
     slow(workspace, env, method)
     undisturbed = workspace.copy(tmp_path / "undisturbed")
     undisturbed.run(*train)
     rng, last = random.Random(0), 0.0
-    for _ in range(3):
+    for _ in range(5):
         process = workspace.start(*train)
         last = wait_for_state(workspace, last)
         time.sleep(rng.uniform(0, 0.4))

@@ -122,7 +122,7 @@ def in_seconds(names, repository):
 
 
 def test_order_overlap_shares_lock_and_what_reruns(repository, tmp_path):
-    names = ("a", "left", "right", "end")
+    names = ("a", "left", "right", "end", "other")
     repository.write("nap", str(NAP))
     output = repository.run("-j", "2")
     for earlier, later in [("a", "left"), ("a", "right"), ("left", "end"), ("right", "end")]:
