@@ -4,8 +4,6 @@ Seeds of the parameters and play data that are here go to the scratch folder, wh
 `dvc repro train` then finds nothing left to train, writes models and curves, and records them as ever.
 """
 
-import dataclasses
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -15,11 +13,11 @@ from beso.data import play
 from beso.device import pick_device
 from beso.errors import UserError
 from beso.files import replacing
-from beso.training_config import TrainingJob
 from pipeline import paths, scratch
 from pipeline.cells.training import cell_jobs, identity
 from pipeline.params import load
 from pipeline.stage import run
+from pipeline.tools.train_cells import find_finished
 
 DEVICES = ("cpu", "cuda")  # of trainings elsewhere
 
@@ -35,7 +33,12 @@ def main(folder: str) -> None:
             continue
         jobs = cell_jobs(params, cell.env, cell.method)
         digest = play.data_digest(play.load(paths.play(cell.env), envs.spec(cell.env)))
-        found = {job.seed: _find(trained, job, digest) for job in jobs}
+        try:
+            identity(params, cell.env, cell.method, jobs[0], digest, device)
+        except UserError as error:  # of a student's teacher
+            print(f"{name}: {error}; then import again")
+            continue
+        found = {job.seed: find_finished(trained, job, digest) for job in jobs}
         for job in jobs:
             if source := found[job.seed]:
                 _compare_code(source, [identity(params, cell.env, cell.method, job, digest, d) for d in DEVICES])
@@ -45,23 +48,6 @@ def main(folder: str) -> None:
                         shutil.copyfile(path, target / path.name)
         missing = [str(seed) for seed, source in found.items() if source is None]
         print(f"{name}: " + (f"dvc repro would train seeds {', '.join(missing)} here" if missing else "all seeds"))
-
-
-def _find(trained: Path, job: TrainingJob, digest: str) -> Path | None:
-    """The folder of a finished model of this job and data."""
-    expected = json.loads(json.dumps(dataclasses.asdict(job)))
-    for folder in sorted(trained.glob(f"seed{job.seed}-*")):
-        if not checkpoint.paths(folder, job.seed)[1].is_file():
-            print(f"{folder}: not finished")
-            continue
-        description = checkpoint.load_description(folder, job.seed)
-        if description["job"] != expected:
-            print(f"{folder}: of other parameters")
-        elif description["data"] != digest:
-            print(f"{folder}: of other play data")
-        else:
-            return folder
-    return None
 
 
 def _compare_code(folder: Path, identities: list[list[Any]]) -> None:

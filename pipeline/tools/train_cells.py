@@ -8,15 +8,18 @@ saves what is unfinished; the same command continues. In the folder are, for eve
     ENV/METHOD/seed1-FINGERPRINT/state.safetensors                unfinished
     ENV/METHOD/seed1-FINGERPRINT/curve.csv                        losses by step
 
-where the fingerprint covers parameters, data, code, device and torch. `python -m pipeline.tools.import_cells FOLDER`
-brings them back to where DVC is.
+where the fingerprint covers parameters, data, code, device and torch. Students find their teacher in models/, where
+this puts it if nothing is there and the folder has it. `python -m pipeline.tools.import_cells FOLDER` brings them back
+to where DVC is.
 """
 
 import argparse
 import csv
+import dataclasses
 import io
 import json
 import math
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -76,6 +79,9 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
     environment, method = params.cells[cell].env, params.cells[cell].method
     data, machine = paths.play(environment), params.machine
     digest = play.data_digest(play.load(data, envs.spec(environment)))
+    teacher = teacher_folder(params, environment, method)
+    if teacher is not None and not teacher.exists():
+        _copy_finished(params, environment, teacher.name, out, digest)
     device = pick_device(machine.device).type
     for start in range(0, len(jobs), machine.seeds_together):
         group = jobs[start : start + machine.seeds_together]
@@ -83,7 +89,6 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
         folders = [
             out / environment / method / f"seed{job.seed}-{name}" for job, name in zip(group, names, strict=True)
         ]
-        teacher = teacher_folder(params, environment, method)
         try:
             # By the pool, for its one torch thread: the order of sums depends on their number.
             (done,) = pool.map_jobs(
@@ -96,6 +101,33 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
         if not done:
             return False
     return True
+
+
+def find_finished(trained: Path, job: TrainingJob, digest: str) -> Path | None:
+    """The folder, in one of a cell's, of a finished model of this job and play data; what others are is said."""
+    expected = json.loads(json.dumps(dataclasses.asdict(job)))
+    for folder in sorted(trained.glob(f"seed{job.seed}-*")):
+        if not checkpoint.paths(folder, job.seed)[1].is_file():
+            print(f"{folder}: not finished")
+            continue
+        description = checkpoint.load_description(folder, job.seed)
+        if description["job"] != expected:
+            print(f"{folder}: of other parameters")
+        elif description["data"] != digest:
+            print(f"{folder}: of other play data")
+        else:
+            return folder
+    return None
+
+
+def _copy_finished(params: Params, environment: str, method: str, out: Path, digest: str) -> None:
+    """Put the models of a cell where its stage would."""
+    models = paths.models(environment, method)
+    for job in cell_jobs(params, environment, method):
+        if source := find_finished(out / environment / method, job, digest):
+            models.mkdir(parents=True, exist_ok=True)
+            for path in checkpoint.paths(source, job.seed):
+                shutil.copyfile(path, models / path.name)
 
 
 def _curve(folder: Path, seed: int) -> list[dict[str, float]]:

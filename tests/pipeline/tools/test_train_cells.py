@@ -1,6 +1,7 @@
 """Training where little is installed, and bringing the models back."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ from beso.data import play
 from beso.errors import UserError
 from pipeline import cells, params, paths, profile
 from pipeline.cells.training import train_cell
-from pipeline.tools import import_cells, train_cells
+from pipeline.tools import import_cells, train_cells, training_speed
 
 ROOT = Path(__file__).parents[3]
 CELL = "block_push-c_beso"
@@ -103,6 +104,30 @@ def test_the_stage_takes_what_was_brought_back(place, monkeypatch, capsys):
     train_cell(params.load(), "block_push", "c_beso")
     assert models("models") == models("trained")
     assert paths.curve("block_push", "c_beso").read_text().startswith("step,learning_rate,training_loss,")
+
+
+def test_students_learn_from_the_teacher_beside_them(place, capsys):
+    student, seed = "block_push-c_beso_one_step", ("--seeds", "1")
+    with pytest.raises(UserError, match=r"models/block_push/c_beso/seed1.json is missing: train this model first"):
+        train_cells.main("--out", "trained", "--cells", student, *seed)
+    train_cells.main("--out", "trained", "--cells", CELL, student)
+    teacher = models("models")
+    assert teacher == models("trained/block_push/c_beso")
+    shutil.rmtree("models")
+    import_cells.main("trained")
+    assert f"{student}: models/block_push/c_beso/seed1.json is missing: train" in capsys.readouterr().out
+    train_cell(params.load(), "block_push", "c_beso")
+    import_cells.main("trained")
+    assert f"{student}: all seeds" in capsys.readouterr().out
+
+
+def test_the_speed_of_training_is_a_table(place, capsys):
+    training_speed.main("--cells", CELL, "--seeds", "1", "2", "--precision", "fp32", "--seconds", "0.05")
+    rows = capsys.readouterr().out.splitlines()[3:]
+    assert [row.split(" | ")[4] for row in rows] == ["1", "2"]
+    assert all(float(row.split(" | ")[5].split()[0]) > 0 for row in rows)
+    with pytest.raises(UserError, match=r"has no cell x: block_push-gcbc"):
+        training_speed.main("--cells", "x")
 
 
 def test_other_parameters_data_and_code_are_told(place, monkeypatch, capsys):

@@ -1,0 +1,103 @@
+"""`python -m pipeline.tools.training_speed --cells CELL ...` measures how fast cells train on this machine.
+
+It takes what `pipeline.tools.train_cells` takes, and no more: a GPU machine may lack the rest. Every cell is measured
+in each precision, on a GPU with and without a CUDA graph, one seed alone and several in one process. A rate counts the
+updates of all of them together: the median of blocks, quartiles in brackets.
+"""
+
+import argparse
+import itertools
+import platform
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+
+from beso import envs
+from beso.data import play
+from beso.device import pick_device
+from beso.errors import UserError
+from beso.training import Training
+from beso.training_config import TrainingJob
+from pipeline import paths
+from pipeline.cells.training import cell_jobs, teacher_folder
+from pipeline.params import Params, load
+from pipeline.stage import guard
+
+WARM_UP = 5  # updates before the clock starts: libraries set themselves up, a graph is recorded
+BLOCKS = 5
+
+
+def main(*arguments: str) -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m pipeline.tools.training_speed", description="measure training on this machine's device"
+    )
+    parser.add_argument("--cells", nargs="+", required=True, metavar="CELL", help="as in params.yaml")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1], help="in one process (default: 1)")
+    parser.add_argument("--precision", nargs="+", default=["fp32", "bf16"], choices=["fp32", "bf16"])
+    parser.add_argument("--seconds", type=float, default=2.0, help="a measurement, about (default: 2)")
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    params = load()
+    device = pick_device(params.machine.device)
+    name = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.processor() or "CPU, one thread"
+    print(f"{name}, torch {torch.__version__}")
+    print("| cell | batch | precision | graph | seeds | updates/s | samples/s | peak memory, MiB |")
+    print("|---|---|---|---|---|---|---|---|")
+    graphs = (False, True) if device.type == "cuda" else (False,)
+    for cell in options.cells:
+        if cell not in params.cells:
+            raise UserError(f"params.yaml has no cell {cell}: {', '.join(params.cells)} are there")
+        job = cell_jobs(params, params.cells[cell].env, params.cells[cell].method)[0]
+        for precision, graph, seeds in itertools.product(options.precision, graphs, options.seeds):
+            rates, memory = _measure(params, cell, _endless(job, precision), device, graph, seeds, options.seconds)
+            low, median, high = np.percentile(rates, [25, 50, 75])
+            batch = job.config.optimization.batch_size
+            print(
+                f"| {cell} | {batch} | {precision} | {'yes' if graph else 'no'} | {seeds}"
+                f" | {median:.4g} [{low:.4g}, {high:.4g}] | {median * batch:,.0f} | {memory} |",
+                flush=True,
+            )
+
+
+def _endless(job: TrainingJob, precision: Literal["fp32", "bf16"]) -> TrainingJob:
+    """The job in that precision, without measurements of its losses."""
+    optimization = replace(job.config.optimization, precision=precision, steps=10**9)
+    validation = replace(job.validation, every=10**9)
+    return replace(job, config=replace(job.config, optimization=optimization), validation=validation)
+
+
+def _measure(
+    params: Params, cell: str, job: TrainingJob, device: torch.device, graph: bool, seeds: int, seconds: float
+) -> tuple[list[float], int | str]:
+    """Updates a second in each block, and the GPU's peak memory in MiB."""
+    environment, method = params.cells[cell].env, params.cells[cell].method
+    data, spec = paths.play(environment), envs.spec(environment)
+    dataset, teacher = play.load(data, spec), teacher_folder(params, environment, method)
+    if device.type == "cuda":
+        torch.cuda.empty_cache()
+        torch.cuda.reset_peak_memory_stats()
+    jobs = [replace(job, seed=job.seed + i) for i in range(seeds)] if teacher is None else [job] * seeds
+    trainings = [Training(one, dataset, spec, device, Path("none"), data, teacher, graph) for one in jobs]
+
+    def updates_in(updates: int) -> float:
+        start = time.perf_counter()
+        for _ in range(updates):
+            for training in trainings:
+                training.step()
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        return time.perf_counter() - start
+
+    updates_in(WARM_UP)
+    block = max(1, round(WARM_UP * seconds / BLOCKS / updates_in(WARM_UP)))
+    rates = [block * seeds / updates_in(block) for _ in range(BLOCKS)]
+    return rates, torch.cuda.max_memory_allocated() // 2**20 if device.type == "cuda" else "-"
+
+
+if __name__ == "__main__":
+    guard(main, *sys.argv[1:])
