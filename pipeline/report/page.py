@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import jinja2
 import pandas as pd
 
@@ -35,7 +36,9 @@ PACKAGES = (
 )
 SECONDS = "seconds"  # the metric of the paper's times
 SCALE = 0.6  # the page's pixels for one of a figure, so that figures are sharp on dense screens
-FILM_BYTES = 8e6  # of all films; with their base64 and the figures, the page stays under 15 MB
+PAGE_BYTES = 14e6  # of figures and films, in base64; with the text, the page stays under 15 MB
+PHOTOS = ("goals_", "samples_")  # how the names of figures begin that are mostly frames
+JPEG_QUALITY = 85
 # Parts of the page beyond the paper's, and how the names of their figures begin. What no part has goes to REST.
 BEYOND = {
     "overview": ["overview"],
@@ -99,7 +102,8 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
         study_of={f"study_{table.name}": table for table in values["studies"]},
         table_of={table.name: table for table in values["own_tables"]},
         bare_tables=[table for table in values["own_tables"] if table.name not in {f.name for f in figures}],
-        films=_films(params, values["names"]),
+        films=_films(params, values["names"], PAGE_BYTES - sum(len(figure.data or "") for figure in figures)),
+        photos=PHOTOS,
         variant_sizes=variant_sizes(params, values["names"], latency),
         hyperparameters=hyperparameters.by_method(params),
         shares=shares,
@@ -138,12 +142,19 @@ def variant_sizes(params: Params, names: Names, latency: pd.DataFrame) -> list[s
 
 
 def _figure(name: str, caption: str, path: Path) -> Picture:
-    width, height = struct.unpack(">II", path.read_bytes()[16:24])  # a PNG's first chunk begins with its size
-    return Picture(name, caption, _data_url(path, "image/png"), round(width * SCALE), round(height * SCALE))
+    image = path.read_bytes()
+    width, height = struct.unpack(">II", image[16:24])  # a PNG's first chunk begins with its size
+    if name.startswith(PHOTOS):
+        _, encoded = cv2.imencode(".jpg", cv2.imread(str(path)), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        data = _data_url(encoded.tobytes(), "image/jpeg")
+    else:
+        data = _data_url(image, "image/png")
+    return Picture(name, caption, data, round(width * SCALE), round(height * SCALE))
 
 
-def _films(params: Params, names: Names) -> list[Picture]:
-    films, room = [], FILM_BYTES
+def _films(params: Params, names: Names, room: float) -> list[Picture]:
+    """The films, as far as there is room for so many bytes."""
+    films = []
     for key, cell in params.films.items():
         path = paths.film(cell.env, cell.method) / "rollout.webm"
         row, metric = read_json(path.with_suffix(".json")), envs.report(cell.env).METRICS[-1]
@@ -155,16 +166,17 @@ def _films(params: Params, names: Names) -> list[Picture]:
             f"{title}: seed {row['seed']}, episode {row['episode']}, {metric.label.lower()} {row[metric.name]:g} after"
             f" {row['length']} actions"
         )
-        room -= path.stat().st_size
+        data = _data_url(path.read_bytes(), "video/webm")
+        room -= len(data)
         if room < 0:
             films.append(Picture(key, f"{caption}. The page has no room for it: {path}", None))
         else:
-            films.append(Picture(key, caption, _data_url(path, "video/webm")))
+            films.append(Picture(key, caption, data))
     return films
 
 
-def _data_url(path: Path, kind: str) -> str:
-    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
+def _data_url(content: bytes, kind: str) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def versions() -> dict[str, str]:
