@@ -192,10 +192,13 @@ def assert_each_figure_is_shown_once(folder):
     written = [path for path in (folder / "reports/figures").iterdir() if path.name != "captions.json"]
     for kind in (".png", ".pdf"):
         assert sorted(figures_of(folder)) == sorted(path.stem for path in written if path.suffix == kind)
-    page = (folder / "reports/report.html").read_text()
-    pictures = Counter(path.read_bytes() for path in written if path.suffix == ".png")  # two of nothing may be alike
+    text = (folder / "reports/report.html").read_text()
+    drawn = [path for path in written if path.suffix == ".png"]
+    photos = [path for path in drawn if path.name.startswith(page.PHOTOS)]
+    assert text.count('src="data:image/jpeg') == len(photos)
+    pictures = Counter(path.read_bytes() for path in drawn if path not in photos)  # two of nothing may be alike
     for picture, count in pictures.items():
-        assert page.count(base64.b64encode(picture).decode()) == count
+        assert text.count(base64.b64encode(picture).decode()) == count
 
 
 def part(page, place):
@@ -317,7 +320,7 @@ def test_a_machine_that_cannot_draw_says_so_on_the_page(workspace, monkeypatch):
 
 def test_films_that_the_page_has_no_room_for_are_named(finished, monkeypatch):
     monkeypatch.chdir(finished.folder)
-    monkeypatch.setattr(page, "FILM_BYTES", 0)
+    monkeypatch.setattr(page, "PAGE_BYTES", 0)
     given = params.load()
     text = page.render(given, gather(given), pd.read_csv("results/latency.csv"))
     assert "The page has no room for it: films/block_push/c_beso/rollout.webm" in text
