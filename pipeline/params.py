@@ -345,9 +345,13 @@ class Params:
     def cell(self, env: str, method: str) -> Cell:
         """One cell. Raises UserError if params.yaml does not have it."""
         self.environment(env)
-        if f"{env}-{method}" not in self.cells:
-            raise UserError(f"{PATH} has no cell {env}-{method}: {', '.join(self.cells)} are there")
-        return self.cells[f"{env}-{method}"]
+        return self.cell_named(f"{env}-{method}")
+
+    def cell_named(self, name: str) -> Cell:
+        """One cell, by its key. Raises UserError if params.yaml does not have it."""
+        if name not in self.cells:
+            raise UserError(f"{PATH} has no cell {name}: {', '.join(self.cells)} are there")
+        return self.cells[name]
 
     def teacher(self, env: str, method: str) -> str | None:
         """The method whose trained models one cell learns from; None is the play data. Raises UserError as `cell`."""

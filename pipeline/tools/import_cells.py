@@ -34,18 +34,18 @@ def main(folder: str) -> None:
         jobs = cell_jobs(params, cell.env, cell.method)
         digest = play.data_digest(play.load(paths.play(cell.env), envs.spec(cell.env)))
         try:
-            identity(params, cell.env, cell.method, jobs[0], digest, device)
+            targets = [scratch.folder(*identity(params, cell.env, cell.method, job, digest, device)) for job in jobs]
         except UserError as error:  # of a student's teacher
             print(f"{name}: {error}; then import again")
             continue
         found = {job.seed: find_finished(trained, job, digest) for job in jobs}
-        for job in jobs:
+        for job, target in zip(jobs, targets, strict=True):
             if source := found[job.seed]:
                 _compare_code(source, [identity(params, cell.env, cell.method, job, digest, d) for d in DEVICES])
-                with replacing(scratch.folder(*identity(params, cell.env, cell.method, job, digest, device))) as target:
-                    target.mkdir()
+                with replacing(target) as temporary:
+                    temporary.mkdir()
                     for path in checkpoint.paths(source, job.seed):
-                        shutil.copyfile(path, target / path.name)
+                        shutil.copyfile(path, temporary / path.name)
         missing = [str(seed) for seed, source in found.items() if source is None]
         print(f"{name}: " + (f"dvc repro would train seeds {', '.join(missing)} here" if missing else "all seeds"))
 

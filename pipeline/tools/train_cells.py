@@ -8,9 +8,9 @@ saves what is unfinished; the same command continues. In the folder are, for eve
     ENV/METHOD/seed1-FINGERPRINT/state.safetensors                unfinished
     ENV/METHOD/seed1-FINGERPRINT/curve.csv                        losses by step
 
-where the fingerprint covers parameters, data, code, device and torch. Students find their teacher in models/, where
-this puts it if nothing is there and the folder has it. `python -m pipeline.tools.import_cells FOLDER` brings them back
-to where DVC is.
+where the fingerprint covers parameters, data, code, device and torch. Students find their teachers in models/, where
+this puts those that are missing there and finished in the folder. `python -m pipeline.tools.import_cells FOLDER` brings
+them back to where DVC is.
 """
 
 import argparse
@@ -50,9 +50,6 @@ def main(*arguments: str) -> None:
     until = time.monotonic() + 3600 * options.hours
     params = load()
     cells = options.cells or list(params.cells)
-    for cell in cells:
-        if cell not in params.cells:
-            raise UserError(f"params.yaml has no cell {cell}: {', '.join(params.cells)} are there")
     chosen = {cell: _jobs(params, cell, options.seeds) for cell in cells}
     for cell, jobs in chosen.items():
         if not train(params, cell, jobs, options.out, until):
@@ -62,7 +59,8 @@ def main(*arguments: str) -> None:
 
 
 def _jobs(params: Params, cell: str, seeds: list[int] | None) -> list[TrainingJob]:
-    jobs = cell_jobs(params, params.cells[cell].env, params.cells[cell].method)
+    of = params.cell_named(cell)
+    jobs = cell_jobs(params, of.env, of.method)
     known = [job.seed for job in jobs]
     for seed in seeds or ():
         if seed not in known:
@@ -80,8 +78,9 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
     data, machine = paths.play(environment), params.machine
     digest = play.data_digest(play.load(data, envs.spec(environment)))
     teacher = teacher_folder(params, environment, method)
-    if teacher is not None and not teacher.exists():
-        _copy_finished(params, environment, teacher.name, out, digest)
+    if teacher is not None:
+        for job in jobs:
+            _bring(params.job(environment, teacher.name, job.seed), out / environment / teacher.name, teacher, digest)
     device = pick_device(machine.device).type
     for start in range(0, len(jobs), machine.seeds_together):
         group = jobs[start : start + machine.seeds_together]
@@ -120,14 +119,12 @@ def find_finished(trained: Path, job: TrainingJob, digest: str) -> Path | None:
     return None
 
 
-def _copy_finished(params: Params, environment: str, method: str, out: Path, digest: str) -> None:
-    """Put the models of a cell where its stage would."""
-    models = paths.models(environment, method)
-    for job in cell_jobs(params, environment, method):
-        if source := find_finished(out / environment / method, job, digest):
-            models.mkdir(parents=True, exist_ok=True)
-            for path in checkpoint.paths(source, job.seed):
-                shutil.copyfile(path, models / path.name)
+def _bring(teacher: TrainingJob, trained: Path, models: Path, digest: str) -> None:
+    """Put a finished teacher where its stage would, unless one is there."""
+    if not checkpoint.paths(models, teacher.seed)[1].exists() and (source := find_finished(trained, teacher, digest)):
+        models.mkdir(parents=True, exist_ok=True)
+        for path in checkpoint.paths(source, teacher.seed):
+            shutil.copyfile(path, models / path.name)
 
 
 def _curve(folder: Path, seed: int) -> list[dict[str, float]]:

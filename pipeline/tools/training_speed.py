@@ -6,6 +6,7 @@ updates of all of them together: the median of blocks, quartiles in brackets.
 """
 
 import argparse
+import gc
 import itertools
 import platform
 import sys
@@ -20,7 +21,6 @@ import torch
 from beso import envs
 from beso.data import play
 from beso.device import pick_device
-from beso.errors import UserError
 from beso.training import Training
 from beso.training_config import TrainingJob
 from pipeline import paths
@@ -37,7 +37,7 @@ def main(*arguments: str) -> None:
         prog="python -m pipeline.tools.training_speed", description="measure training on this machine's device"
     )
     parser.add_argument("--cells", nargs="+", required=True, metavar="CELL", help="as in params.yaml")
-    parser.add_argument("--seeds", nargs="+", type=int, default=[1], help="in one process (default: 1)")
+    parser.add_argument("--seeds-together", nargs="+", type=int, default=[1], help="in one process (default: 1)")
     parser.add_argument("--precision", nargs="+", default=["fp32", "bf16"], choices=["fp32", "bf16"])
     parser.add_argument("--seconds", type=float, default=2.0, help="a measurement, about (default: 2)")
     options = parser.parse_args(arguments)
@@ -50,10 +50,9 @@ def main(*arguments: str) -> None:
     print("|---|---|---|---|---|---|---|---|")
     graphs = (False, True) if device.type == "cuda" else (False,)
     for cell in options.cells:
-        if cell not in params.cells:
-            raise UserError(f"params.yaml has no cell {cell}: {', '.join(params.cells)} are there")
-        job = cell_jobs(params, params.cells[cell].env, params.cells[cell].method)[0]
-        for precision, graph, seeds in itertools.product(options.precision, graphs, options.seeds):
+        of = params.cell_named(cell)
+        job = cell_jobs(params, of.env, of.method)[0]
+        for precision, graph, seeds in itertools.product(options.precision, graphs, options.seeds_together):
             rates, memory = _measure(params, cell, _endless(job, precision), device, graph, seeds, options.seconds)
             low, median, high = np.percentile(rates, [25, 50, 75])
             batch = job.config.optimization.batch_size
@@ -79,6 +78,7 @@ def _measure(
     data, spec = paths.play(environment), envs.spec(environment)
     dataset, teacher = play.load(data, spec), teacher_folder(params, environment, method)
     if device.type == "cuda":
+        gc.collect()  # what was measured before would count
         torch.cuda.empty_cache()
         torch.cuda.reset_peak_memory_stats()
     jobs = [replace(job, seed=job.seed + i) for i in range(seeds)] if teacher is None else [job] * seeds

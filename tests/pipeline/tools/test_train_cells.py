@@ -113,6 +113,10 @@ def test_students_learn_from_the_teacher_beside_them(place, capsys):
     train_cells.main("--out", "trained", "--cells", CELL, student)
     teacher = models("models")
     assert teacher == models("trained/block_push/c_beso")
+    for path in Path("models").rglob("seed2*"):
+        path.unlink()
+    train_cells.main("--out", "trained", "--cells", student)
+    assert models("models") == teacher, "a missing seed is brought too"
     shutil.rmtree("models")
     import_cells.main("trained")
     assert f"{student}: models/block_push/c_beso/seed1.json is missing: train" in capsys.readouterr().out
@@ -122,7 +126,7 @@ def test_students_learn_from_the_teacher_beside_them(place, capsys):
 
 
 def test_the_speed_of_training_is_a_table(place, capsys):
-    training_speed.main("--cells", CELL, "--seeds", "1", "2", "--precision", "fp32", "--seconds", "0.05")
+    training_speed.main("--cells", CELL, "--seeds-together", "1", "2", "--precision", "fp32", "--seconds", "0.05")
     rows = capsys.readouterr().out.splitlines()[3:]
     assert [row.split(" | ")[4] for row in rows] == ["1", "2"]
     assert all(float(row.split(" | ")[5].split()[0]) > 0 for row in rows)
