@@ -39,11 +39,14 @@ stages:
     deps: [step]
     outs: [other]
 """
+# The trap comes before the event that tests wait for, and `wait` ends with it: an interrupt that reaches a process between
+# the shell's fork and the start of `sleep` in its foreground would be lost.
 STEP = """
+trap 'echo "$1 interrupted" >> events; kill $! 2>/dev/null; exit 130' INT
 echo "$1 start $(date +%s.%N) $BESO_WORKERS" >> events
-trap 'echo "$1 interrupted" >> events; exit 130' INT
 if [ -e "fail_$1" ]; then echo "no luck" >&2; exit 3; fi
-sleep $(cat nap_$1 || cat nap || echo 0) 2>/dev/null
+sleep $(cat nap_$1 || cat nap || echo 0) 2>/dev/null &
+wait $!
 echo "$1 end $(date +%s.%N)" >> events
 """
 
