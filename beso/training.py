@@ -61,8 +61,9 @@ class Training:
         training_episodes, held_out_episodes = job.split(len(dataset))
         self.scaling = Scaling.fit(dataset, training_episodes, spec)
         shape = (self.scaling, model.window, spec.goal_window, device, model.lookahead, model.goal_at_end)
-        self.windows = Windows(dataset, training_episodes, *shape, job.goal_horizon)
-        held_out = Windows(dataset, held_out_episodes, *shape, job.goal_horizon)
+        goals = (job.goal_horizon, model.final_goals)
+        self.windows = Windows(dataset, training_episodes, *shape, *goals)
+        held_out = Windows(dataset, held_out_episodes, *shape, *goals)
         self._held_out_batch = held_out.sample(job.validation.windows, self._validation_draws())
 
         # Model, averages, optimizer

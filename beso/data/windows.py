@@ -9,8 +9,9 @@ One sample from an episode of T steps, window W, goal window G (here W = 5, G = 
 
 The window starts anywhere that leaves room for a goal after it, so a goal never precedes its window, never overlaps
 it, and may be the episode's last state; with a horizon H it starts at most H steps after the window's last state, as
-hours of play without a cut need it. Two methods want something else of the same windows: with `goal_at_end` the
-window's own last states are its goal, and `lookahead` adds the states that follow it:
+hours of play without a cut need it. A share of the windows (`final_goals`) may have the last goal possible instead of
+a uniform one, as rollouts have demonstrations' last states for goals. Two methods want something else of the same
+windows: with `goal_at_end` the window's own last states are its goal, and `lookahead` adds the states that follow it:
 
     step            0  1  2  3  4  5  6  7  8  9  ...        T-1
     goal at end                       [g]
@@ -58,6 +59,7 @@ class Windows:
         lookahead: L.
         goal_at_end: the goal is the window's own last states.
         goal_horizon: H, or None for the rest of the episode.
+        final_goals: share of windows, below 1, whose goal is the last one possible instead of a uniform one.
 
     Raises:
         UserError: an episode is too short for a window and a goal.
@@ -74,6 +76,7 @@ class Windows:
         lookahead: int = 0,
         goal_at_end: bool = False,
         goal_horizon: int | None = None,
+        final_goals: float = 0.0,
     ) -> None:
         starts, ends = dataset.episode_starts[episodes], dataset.episode_ends[episodes]
         goal_room = 0 if goal_at_end else goal_window
@@ -86,6 +89,7 @@ class Windows:
             )
         first_of_episode = np.repeat(starts - np.concatenate([[0], np.cumsum(room)[:-1]]), room)
         self.window, self.goal_window, self.goal_at_end = window, goal_window, goal_at_end
+        self.final_goals = final_goals
         self._starts = torch.from_numpy(np.arange(room.sum()) + first_of_episode).to(device)
         self._last_steps = torch.from_numpy(np.repeat(ends - 1, room)).to(device)
         last_goals = np.repeat(ends - goal_window, room)
@@ -125,7 +129,9 @@ class Windows:
             return start, start + self.window - self.goal_window, last_step
         earliest, last = start + self.window, self._last_goals[chosen]
         uniform = torch.rand(size, generator=generator, device=device, dtype=torch.float64)
-        return start, earliest + (uniform * (last - earliest + 1)).long(), last_step
+        rest = (uniform - self.final_goals) / (1 - self.final_goals)  # again uniform in [0, 1), where not negative
+        goal = earliest + (rest * (last - earliest + 1)).long()
+        return start, torch.where(rest < 0, last, goal), last_step
 
     def sample(self, size: int, generator: torch.Generator) -> Batch:
         """A batch of random windows with random later goals."""

@@ -12,19 +12,41 @@ sampler retrains nothing.
 """
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
-from beso.config import require, require_name, require_positive
+from beso.config import require, require_name, require_positive, require_rate
 from beso.data.windows import Batch
 from beso.diffusion.densities import DENSITIES
 from beso.diffusion.preconditioning import broadcast_to_actions, network_target, scales
 from beso.memory import Memory
-from beso.methods import Policy, SamplingConfig
+from beso.methods import ModelConfig, Policy, SamplingConfig
+from beso.networks.transformer import TransformerConfig
 from beso.noise import Noise
+
+
+@dataclass(frozen=True)
+class DenoiserConfig(ModelConfig):
+    """What the Configs of all diffusion policies inherit, CX-Diff's too.
+
+    Attributes:
+        transformer: BESO's network.
+        final_goals: see ModelConfig.
+    """
+
+    transformer: TransformerConfig
+    final_goals: float = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        require_rate(self, "final_goals")
+
+    @property
+    def window(self) -> int:
+        """Time steps in a training window and in the context of `act`."""
+        return self.transformer.window
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,14 @@ class ContextSampling(SamplingConfig):
 
 
 class ModelConfig:
-    """What a method's Config inherits: the windows it is trained on (beso.data.windows), and what it checks."""
+    """What a method's Config inherits: the windows it is trained on (beso.data.windows), and what it checks.
+
+    Attributes:
+        final_goals: share of the windows whose goal is the episode's last state, or the last that the goal horizon
+            allows; the others' are uniform in the future.
+    """
+
+    final_goals: float = 0.0
 
     if TYPE_CHECKING:
 

@@ -5,24 +5,17 @@ from dataclasses import dataclass
 import torch
 
 from beso.data.spec import Sizes
-from beso.diffusion.score_policy import DiffusionConfig, DiffusionSampling, ScorePolicy
-from beso.methods import ModelConfig
-from beso.networks.transformer import ScoreTransformer, TransformerConfig
+from beso.diffusion.score_policy import DenoiserConfig, DiffusionConfig, DiffusionSampling, ScorePolicy
+from beso.networks.transformer import ScoreTransformer
 
 Sampling = DiffusionSampling
 
 
 @dataclass(frozen=True)
-class Config(ModelConfig):
+class Config(DenoiserConfig):
     """The network and its training noise."""
 
-    transformer: TransformerConfig
     diffusion: DiffusionConfig
-
-    @property
-    def window(self) -> int:
-        """Time steps in a training window and in the context of `act`."""
-        return self.transformer.window
 
 
 class Method(ScorePolicy):

@@ -13,13 +13,12 @@ from torch import Tensor
 from beso.config import require, require_rate
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
-from beso.diffusion.score_policy import DiffusionConfig, DiffusionSampling, ScorePolicy
-from beso.methods import ModelConfig
-from beso.networks.transformer import ScoreTransformer, TransformerConfig
+from beso.diffusion.score_policy import DenoiserConfig, DiffusionConfig, DiffusionSampling, ScorePolicy
+from beso.networks.transformer import ScoreTransformer
 
 
 @dataclass(frozen=True)
-class Config(ModelConfig):
+class Config(DenoiserConfig):
     """The network, its training noise, and how it learns to do without a goal.
 
     Attributes:
@@ -31,7 +30,6 @@ class Config(ModelConfig):
             mean of all goals, and so a goal that a demonstration could have.
     """
 
-    transformer: TransformerConfig
     diffusion: DiffusionConfig
     goal_dropout: float
     goal_dropout_of: Literal["goal", "element"]
@@ -39,16 +37,12 @@ class Config(ModelConfig):
     null_goal: Literal["zeros", "learned"]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_rate(self, "goal_dropout", "goal_dropout_from")
         require(
             self.goal_dropout_of == "goal" or self.goal_dropout_from == 0,
             f"goal_dropout_from = {self.goal_dropout_from}: must be 0 where goal_dropout_of is element",
         )
-
-    @property
-    def window(self) -> int:
-        """Time steps in a training window and in the context of `act`."""
-        return self.transformer.window
 
 
 @dataclass(frozen=True)

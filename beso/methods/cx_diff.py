@@ -14,38 +14,33 @@ from torch import Tensor, nn
 from beso.config import require, require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
+from beso.diffusion.score_policy import DenoiserConfig
 from beso.memory import Memory
-from beso.methods import ModelConfig, Policy, SamplingConfig
-from beso.networks.transformer import ScoreTransformer, TransformerConfig
+from beso.methods import Policy, SamplingConfig
+from beso.networks.transformer import ScoreTransformer
 from beso.noise import Noise
 
 
 @dataclass(frozen=True)
-class Config(ModelConfig):
+class Config(DenoiserConfig):
     """The network and its chain of noise levels.
 
     Attributes:
-        transformer: BESO's network.
         diffusion_steps: T, the length of the chain.
         beta_min, beta_max: variances of the first and the last step; linear in between.
     """
 
-    transformer: TransformerConfig
     diffusion_steps: int
     beta_min: float
     beta_max: float
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, "diffusion_steps")
         require(
             0 < self.beta_min <= self.beta_max < 1,
             f"beta_min = {self.beta_min}: must be above 0 and at most beta_max = {self.beta_max}, which is below 1",
         )
-
-    @property
-    def window(self) -> int:
-        """Time steps in a training window and in the context of `act`."""
-        return self.transformer.window
 
     def check(self, sampling: "Sampling") -> None:
         """As for all methods, and no more steps than the chain has."""

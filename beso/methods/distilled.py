@@ -22,13 +22,13 @@ from torch import Tensor
 from beso.config import require, require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
-from beso.diffusion.score_policy import DiffusionConfig, ScorePolicy, default_sampling
+from beso.diffusion.score_policy import DenoiserConfig, DiffusionConfig, ScorePolicy, default_sampling
 from beso.methods import ContextSampling, ModelConfig
-from beso.networks.transformer import ScoreTransformer, TransformerConfig
+from beso.networks.transformer import ScoreTransformer
 
 
 @dataclass(frozen=True)
-class Config(ModelConfig):
+class Config(DenoiserConfig):
     """Network and noise range, which are the teacher's, and the number of calls.
 
     Attributes:
@@ -36,22 +36,17 @@ class Config(ModelConfig):
         teacher_steps: denoising steps of the teacher, at least as many.
     """
 
-    transformer: TransformerConfig
     diffusion: DiffusionConfig
     steps: int
     teacher_steps: int
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, "steps")
         require(
             self.teacher_steps >= self.steps,
             f"teacher_steps = {self.teacher_steps}: must be at least steps = {self.steps}",
         )
-
-    @property
-    def window(self) -> int:
-        """Time steps in a training window and in the context of `act`."""
-        return self.transformer.window
 
     def check_teacher(self, teacher: ModelConfig | None) -> None:
         """The teacher must have the same network and noise."""

@@ -41,9 +41,10 @@ SAMPLING = {
 }
 MODELS = {
     "gcbc": {"width": 32, "layers": 2, "dropout": 0.1},
-    "c_beso": {"transformer": TRANSFORMER, "diffusion": DIFFUSION},
+    "c_beso": {"transformer": TRANSFORMER, "final_goals": 0.0, "diffusion": DIFFUSION},
     "cfg_beso": {
         "transformer": TRANSFORMER,
+        "final_goals": 0.0,
         "diffusion": DIFFUSION,
         "goal_dropout": 0.2,
         "goal_dropout_of": "goal",
@@ -77,8 +78,20 @@ MODELS = {
         "bins": 4,
         "offset_weight": 10.0,
     },
-    "cx_diff": {"transformer": TRANSFORMER, "diffusion_steps": 5, "beta_min": 1e-4, "beta_max": 0.7},
-    "distilled": {"transformer": TRANSFORMER, "diffusion": DIFFUSION, "steps": 2, "teacher_steps": 3},
+    "cx_diff": {
+        "transformer": TRANSFORMER,
+        "final_goals": 0.0,
+        "diffusion_steps": 5,
+        "beta_min": 1e-4,
+        "beta_max": 0.7,
+    },
+    "distilled": {
+        "transformer": TRANSFORMER,
+        "final_goals": 0.0,
+        "diffusion": DIFFUSION,
+        "steps": 2,
+        "teacher_steps": 3,
+    },
 }
 TEACHERS = {"distilled": "c_beso"}  # whose models a method learns from, where it is not play data
 SAMPLINGS = {

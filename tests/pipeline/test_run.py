@@ -39,8 +39,8 @@ stages:
     deps: [step]
     outs: [other]
 """
-# The trap comes before the event that tests wait for, and `wait` ends with it: an interrupt that reaches a process between
-# the shell's fork and the start of `sleep` in its foreground would be lost.
+# The trap comes before the event that tests wait for, and `wait` ends with it: with `sleep` in the foreground, an
+# interrupt between the shell's fork and its start would be lost.
 STEP = """
 trap 'echo "$1 interrupted" >> events; kill $! 2>/dev/null; exit 130' INT
 echo "$1 start $(date +%s.%N) $BESO_WORKERS" >> events

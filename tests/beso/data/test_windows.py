@@ -66,6 +66,19 @@ def test_windows_and_goals_are_drawn_uniformly(make, data):
     assert np.abs(shares - 1 / 15).max() < 4.5 * np.sqrt(1 / 15 * 14 / 15 / len(of_first))
 
 
+@pytest.mark.parametrize(("horizon", "last"), [(None, 19), (3, 3)])
+def test_a_share_of_the_goals_are_the_last_ones_and_the_others_stay_uniform(data, spec, horizon, last):
+    """The windows of 20 steps that start at their episode's first."""
+    scaling, count, share = Scaling.fit(data, np.array([2]), spec), 100_000, 0.6
+    windows = Windows(data, np.array([2]), scaling, 1, 1, goal_horizon=horizon, final_goals=share)
+    start, goal = drawn(windows, count)
+    goals = goal[start == data.episode_starts[2]] - data.episode_starts[2]
+    shares = np.bincount(goals)[1:] / len(goals)
+    expected = np.full(last, (1 - share) / last)
+    expected[-1] += share
+    assert np.abs(shares - expected).max() < 4.5 * np.sqrt(share * (1 - share) / len(goals))
+
+
 def test_samples_are_the_scaled_rows_of_their_indices(make, data, spec):
     windows = make(4, 2, [0, 2, 4])
     scaling = Scaling.fit(data, np.array([0, 2, 4]), spec)

@@ -12,7 +12,7 @@ TRANSFORMER = TransformerConfig(16, 1, 2, 3, 0.0, 0.0, "sequential")
 
 
 def make(steps=None, extra_steps=0, length=10, beta_max=0.5):
-    config = cx_diff.Config(TRANSFORMER, length, 1e-4, beta_max)
+    config = cx_diff.Config(TRANSFORMER, length, 1e-4, beta_max, final_goals=0.0)
     return cx_diff.Method(
         config, cx_diff.Sampling(steps, extra_steps, None), SIZES, torch.Generator().manual_seed(0)
     ).eval()
@@ -113,4 +113,4 @@ def test_the_loss_is_the_squared_error_of_the_noise_in_noised_actions():
 
 def test_an_impossible_chain_is_refused():
     with pytest.raises(ValueError, match=r"beta_min = 0\.3: must be above 0 and at most beta_max = 0\.2"):
-        cx_diff.Config(TRANSFORMER, 10, 0.3, 0.2)
+        cx_diff.Config(TRANSFORMER, 10, 0.3, 0.2, final_goals=0.0)
