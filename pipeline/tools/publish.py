@@ -40,7 +40,7 @@ from pipeline.stage import guard
 from pipeline.tools.archive import Part, check, held, parameters, parts, restricted
 
 FOLDER = paths.REPORTS / "published"
-LARGEST = 2 * 1024**2  # bytes of a file of weights: git keeps every version for ever
+LARGEST = 2_000_000  # bytes of a file of weights: git keeps every version for ever
 
 
 def choose(available: dict[str, Part], names: list[str]) -> list[Part]:
