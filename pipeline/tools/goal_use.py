@@ -1,8 +1,9 @@
 """`python -m pipeline.tools.goal_use ENV METHOD` measures whether a trained policy looks at its goal.
 
 On the first steps of held-out demonstrations it compares the policy's actions with the demonstrated ones, twice: with
-the demonstration's own last states for a goal, and with those of another one. A policy that ignores its goal errs as
-much with both. Validation loss does not tell: most actions follow from the state alone.
+the demonstration's own goal and with that of another one. A policy that ignores its goal errs as much with both.
+Validation loss does not tell: most actions follow from the state alone. Goals are a demonstration's last states, as in
+rollouts, and states a little ahead, as CALVIN's play goes on after a task: its last states say little about its first.
 """
 
 from dataclasses import replace
@@ -24,6 +25,7 @@ from pipeline.params import load
 from pipeline.stage import run
 
 STEPS = 40  # at the start of a demonstration, where it is not plain yet where it leads
+AHEAD = 20  # steps from a decision to a goal that is near
 
 
 def errors(
@@ -34,8 +36,9 @@ def errors(
     goal_window: int,
     context: int,
     draws: torch.Generator,
+    ahead: int | None = None,
 ) -> tuple[float, float]:
-    """Mean squared errors of actions, scaled, with an episode's own and with the next one's last states as goal.
+    """Mean squared errors of actions, scaled, with an episode's own states and with the next one's as goal.
 
     Args:
         policy: see beso.methods.Policy; what it remembers is empty at every step.
@@ -43,20 +46,22 @@ def errors(
         goal_window: states in a goal.
         context: time steps that the policy sees.
         draws: of the policy's noise, the same for both errors.
+        ahead: steps from a decision to its goal; None: the goal is the episode's last states.
 
     Raises:
-        UserError: an episode is shorter than STEPS, so that its first steps would run into the next one.
+        UserError: an episode is so short that its first steps or their goals would run into the next one.
     """
-    shortest = dataset.lengths[episodes].min()
-    if shortest < STEPS:
-        raise UserError(f"the shortest held-out demonstration has {shortest} steps, at least {STEPS} are needed")
+    shortest, needed = dataset.lengths[episodes].min(), STEPS if ahead is None else STEPS + ahead + goal_window - 1
+    if shortest < needed:
+        raise UserError(f"the shortest held-out demonstration has {shortest} steps, at least {needed} are needed")
     device, each = draws.device, STEPS - context + 1  # decisions of an episode
     starts, ends = dataset.episode_starts[episodes], dataset.episode_ends[episodes]
     now = (starts[:, None] + np.arange(context - 1, STEPS)).ravel()
     steps = torch.from_numpy(now[:, None] + np.arange(1 - context, 1)).to(device)
-    last = torch.from_numpy(np.repeat(ends, each)[:, None] - np.arange(goal_window, 0, -1)).to(device)
+    first_of_goal = np.repeat(ends, each) - goal_window if ahead is None else now + ahead
+    wanted = torch.from_numpy(first_of_goal[:, None] + np.arange(goal_window)).to(device)
     states = torch.from_numpy(np.array(dataset.observations)).to(device)
-    observations, goals = scaling.observations(states)[steps], scaling.goals(states)[last]
+    observations, goals = scaling.observations(states)[steps], scaling.goals(states)[wanted]
     actions = scaling.actions(torch.from_numpy(np.array(dataset.actions)).to(device))[steps]
     start = draws.get_state()
 
@@ -82,8 +87,10 @@ def main(environment: str, method: str) -> None:
         draws = torch_generator(params.seed, "goal use", seed, device=device)
         _, held_out = job.split(len(dataset))
         shape = (spec.goal_window, policy.context, draws)
-        own, other = errors(policy.method, policy.scaling, seen, held_out, *shape)
-        print(f"{method} seed {seed}: action error {own:.4f} with the own goal, {other:.4f} with another's")
+        for ahead, goals in [(None, "last states"), (AHEAD, f"{AHEAD} steps ahead")]:
+            own, other = errors(policy.method, policy.scaling, seen, held_out, *shape, ahead)
+            what = f"{own:.4f} with the own goal, {other:.4f} with another's"
+            print(f"{method} seed {seed}, goals {goals}: action error {what}")
 
 
 if __name__ == "__main__":

@@ -51,6 +51,25 @@ def test_only_a_policy_that_looks_at_its_goal_errs_with_anothers(dataset):
     assert own == other
 
 
+def test_a_near_goal_is_the_state_so_many_steps_after_the_decision(dataset):
+    dataset.observations[:, 0] = np.tile(np.arange(50), 10)  # a state's step, the same in every episode
+    scaling = Scaling.fit(dataset, np.arange(10), SPEC)
+    seen = []
+
+    class Recording(Policy):
+        def act(self, observations, actions, goal, noise, memory):
+            steps = torch.stack([observations[:, -1, 0], goal[:, 0, 0]], dim=1) * scaling.std[0] + scaling.mean[0]
+            seen.append(steps.round())
+            return super().act(observations, actions, goal, noise, memory)
+
+    errors(Recording(True), scaling, dataset, np.arange(10), 1, 3, torch.Generator().manual_seed(0), ahead=7)
+    for steps in seen:
+        assert steps[:, 0].tolist() == list(range(2, 40)) * 10
+        assert (steps[:, 1] - steps[:, 0] == 7).all()
+    with pytest.raises(UserError, match="has 50 steps, at least 52 are needed"):
+        errors(Policy(True), scaling, dataset, np.arange(10), 1, 3, torch.Generator().manual_seed(0), ahead=12)
+
+
 def test_an_episode_that_is_too_short_is_refused(dataset):
     scaling = Scaling.fit(dataset, np.arange(10), SPEC)
     short = replace(dataset, episode_ends=dataset.episode_ends - 20)  # the first has 30 steps
