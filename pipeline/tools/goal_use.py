@@ -51,18 +51,22 @@ def errors(
     Raises:
         UserError: an episode is so short that its first steps or their goals would run into the next one.
     """
-    shortest, needed = dataset.lengths[episodes].min(), STEPS if ahead is None else STEPS + ahead + goal_window - 1
+    shortest = dataset.lengths[episodes].min()
+    needed = STEPS if ahead is None else STEPS + ahead + goal_window - 1
     if shortest < needed:
         raise UserError(f"the shortest held-out demonstration has {shortest} steps, at least {needed} are needed")
     device, each = draws.device, STEPS - context + 1  # decisions of an episode
     starts, ends = dataset.episode_starts[episodes], dataset.episode_ends[episodes]
     now = (starts[:, None] + np.arange(context - 1, STEPS)).ravel()
-    steps = torch.from_numpy(now[:, None] + np.arange(1 - context, 1)).to(device)
+    steps = now[:, None] + np.arange(1 - context, 1)
     first_of_goal = np.repeat(ends, each) - goal_window if ahead is None else now + ahead
-    wanted = torch.from_numpy(first_of_goal[:, None] + np.arange(goal_window)).to(device)
-    states = torch.from_numpy(np.array(dataset.observations)).to(device)
-    observations, goals = scaling.observations(states)[steps], scaling.goals(states)[wanted]
-    actions = scaling.actions(torch.from_numpy(np.array(dataset.actions)).to(device))[steps]
+
+    def rows(array: np.ndarray, wanted: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.array(array[wanted])).to(device)
+
+    observations = scaling.observations(rows(dataset.observations, steps))
+    goals = scaling.goals(rows(dataset.observations, first_of_goal[:, None] + np.arange(goal_window)))
+    actions = scaling.actions(rows(dataset.actions, steps))
     start = draws.get_state()
 
     def error(goal: torch.Tensor) -> float:
