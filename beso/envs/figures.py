@@ -9,6 +9,9 @@ from matplotlib.figure import Figure
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#F0E442", "#000000")
 
 
+PANELS_A_LINE = 5
+
+
 def panels(count: int, margin: float, height: float) -> tuple[Figure, list[Axes]]:
     """A page-wide figure of `count` panels alike, five a line.
 
@@ -18,7 +21,7 @@ def panels(count: int, margin: float, height: float) -> tuple[Figure, list[Axes]
     Returns:
         The figure and all places of its grid; those beyond `count` are empty.
     """
-    columns = min(5, count)
+    columns = min(PANELS_A_LINE, count)
     lines = math.ceil(count / columns)
     figure = Figure(figsize=(7, margin + height * lines), layout="constrained")
     grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False).flatten()

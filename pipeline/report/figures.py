@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from beso import envs
 from beso.data.play import read_npy
 from beso.envs.figures import COLOURS as METHOD_COLOURS
-from beso.envs.figures import panels
+from beso.envs.figures import PANELS_A_LINE, panels
 from beso.envs.protocol import Drawing, Episodes
 from beso.files import replacing, write_json
 from pipeline import paths
@@ -112,7 +112,8 @@ def overview(comparison: pd.DataFrame, names: Names) -> Figure:
         for metric in envs.report(environment).METRICS
         if len(part := both[(both["environment"] == environment) & (both["metric"] == metric.name)])
     ]
-    figure, grid = panels(max(1, len(shown)), 0.7, 1.6)
+    count = max(1, len(shown))
+    figure, grid = panels(count, 0.7, min(4, 8 / min(count, PANELS_A_LINE)))  # squares: fewer are larger
     styles = dict(zip(names.methods, zip(MARKERS, reversed(METHOD_COLOURS), strict=True), strict=False))
     top = 1.08 + max([0.0, *(part["ours_high"].max() / metric.maximum - 1 for _, metric, part in shown)])
     for axis, (environment, metric, part) in zip(grid, shown, strict=False):

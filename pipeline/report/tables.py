@@ -9,7 +9,7 @@ import pandas as pd
 
 from beso import envs
 from pipeline.params import Params
-from pipeline.report.comparison import of_cells
+from pipeline.report.comparison import CELL, of_cells
 from pipeline.report.names import Names
 
 TEMPLATES = Path("reports/templates")
@@ -34,25 +34,29 @@ def render(template: str, values: dict[str, Any]) -> str:
 
 
 def main_methods(params: Params) -> list[str]:
-    """Columns of the main table: the methods of all environments, without variants."""
-    return list(dict.fromkeys(cell.method for cell in params.cells.values() if cell.method == cell.of))
+    """Columns of the main table: the methods of all environments, without variants, in the parameters' order."""
+    run = {cell.method for cell in params.cells.values() if cell.method == cell.of}
+    return [method for method in params.methods if method in run]
 
 
 def main_rows(params: Params, comparison: pd.DataFrame, names: Names) -> list[dict[str, Any]]:
-    """Rows of the main table: environment, metric, whose numbers, and a cell `mean (+- std)` a method."""
-    rows, comparison = [], of_cells(comparison)
+    """Rows of the main table: environment, metric, whose numbers, and a cell `mean (+- std)` a method.
+
+    The paper's numbers stand there also for cells that this run does not have.
+    """
+    rows, ours = [], of_cells(comparison)
+    theirs = comparison[comparison["study"].isna() & comparison["paper"].notna()]
     for environment in params.envs:
         goal_sets = params.environments[environment].evaluation.goals
-        part = comparison[comparison["environment"] == environment]
         for metric in envs.report(environment).METRICS:
-            of_metric = part[part["metric"] == metric.name]
             for whose in [*goal_sets, "paper"]:
+                numbers, name = (theirs, "paper") if whose == "paper" else (ours, "ours")
+                goals = goal_sets[0] if whose == "paper" else whose
                 cells = []
                 for method in main_methods(params):
-                    goals = goal_sets[0] if whose == "paper" else whose
-                    row = of_metric[(of_metric["method"] == method) & (of_metric["goals"] == goals)]
-                    columns = ("paper", "paper_std") if whose == "paper" else ("ours", "ours_std")
-                    cells.append(tuple(row[list(columns)].iloc[0]) if len(row) else (math.nan, math.nan))
+                    wanted = dict(zip(CELL, (environment, metric.name, method, goals), strict=True))
+                    row = numbers[(numbers[CELL] == pd.Series(wanted)).all(axis=1)]
+                    cells.append(tuple(row[[name, f"{name}_std"]].iloc[0]) if len(row) else (math.nan, math.nan))
                 rows.append(
                     {
                         "environment": names.environments[environment],

@@ -1,7 +1,12 @@
+from dataclasses import replace
+
+import pandas as pd
 import pytest
 
+from pipeline import profile
 from pipeline.report.comparison import verdict
-from pipeline.report.tables import number, significant
+from pipeline.report.names import Names
+from pipeline.report.tables import main_methods, main_rows, number, significant
 
 
 @pytest.mark.parametrize(
@@ -46,3 +51,27 @@ def test_quantities_have_significant_digits(value, text):
 
 def test_scores_have_decimals_and_no_minus_before_a_zero():
     assert [number(x) for x in (0.5, -0.004, -0.006, 10.0, None)] == ["0.50", "0.00", "-0.01", "10.00", "--"]
+
+
+def test_the_main_table_has_the_papers_number_beside_a_cell_that_was_not_run():
+    params = profile.load("smoke")
+    kept = ("block_push-gcbc", "block_push-c_beso", "kitchen-lmp", "kitchen-c_beso")
+    params = replace(params, cells={name: params.cells[name] for name in kept}, studies={}, films={})
+    columns = ["environment", "metric", "method", "study", "goals", "ours", "ours_std", "paper", "paper_std"]
+    comparison = pd.DataFrame(
+        [
+            ("block_push", "result", "gcbc", None, "training", 0.25, None, 0.13, 0.04),
+            ("block_push", "result", "lmp", None, "training", None, None, 0.04, 0.02),
+            ("block_push", "result", "c_beso", "steps_block_push", "training", 0.75, None, 0.9, 0.02),
+        ],
+        columns=columns,
+    )
+    assert main_methods(params) == ["gcbc", "lmp", "c_beso"], "in the parameters' order"
+    rows = main_rows(params, comparison, Names(params))
+    (ours, theirs) = [
+        [mean for mean, _ in row["cells"]]
+        for row in rows
+        if (row["environment"], row["metric"]) == ("Block-Push", "Result") and "held" not in row["whose"]
+    ]
+    assert [number(x) for x in ours] == ["0.25", "--", "--"]
+    assert [number(x) for x in theirs] == ["0.13", "0.04", "--"]

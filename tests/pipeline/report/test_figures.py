@@ -1,7 +1,9 @@
+import matplotlib
 import pandas as pd
+import pytest
 
 from pipeline import profile
-from pipeline.report.figures import overview
+from pipeline.report.figures import STYLE, overview
 from pipeline.report.names import Names
 
 NAMES = Names(profile.load("smoke"))
@@ -31,3 +33,17 @@ def test_the_overview_has_a_panel_a_metric_and_the_methods_that_have_numbers():
 def test_the_overview_of_a_run_beside_which_the_paper_has_nothing_is_empty():
     figure = drawn(("kitchen", "result", "c_beso_film", None, 2.0, 1.0, 3.0, None, None))
     assert [axis.get_title() for axis in figure.axes] == [""]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+def test_no_text_of_the_overview_is_cut_off_or_under_the_legend(count):
+    metrics = [("block_push", "reward"), ("block_push", "result"), ("calvin", "success")]
+    metrics += [("kitchen", "reward"), ("kitchen", "result")]
+    with matplotlib.rc_context(STYLE):
+        figure = drawn(*[(*metric, "c_beso", None, 0.5, 0.4, 0.6, 0.9, 0.1) for metric in metrics[:count]])
+        figure.draw_without_rendering()
+    (legend,) = figure.legends
+    top_of_legend = legend.get_window_extent().y1
+    for axis in figure.axes:
+        assert axis.title.get_window_extent().y1 <= figure.bbox.y1
+        assert axis.xaxis.label.get_window_extent().y0 >= top_of_legend
