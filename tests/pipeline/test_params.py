@@ -306,5 +306,5 @@ def test_unreadable_files_are_one_line(tmp_path):
 
 
 def test_unknown_profile_is_refused():
-    with pytest.raises(UserError, match="profile 'tiny' is not one of cpu, paper, quick, smoke"):
+    with pytest.raises(UserError, match="profile 'tiny' is not one of cpu, gpu, paper, quick, smoke"):
         profile.render("tiny")
