@@ -12,7 +12,7 @@ from beso.envs.reporting import Report, Summary
 from beso.files import read_json
 from pipeline import paths
 from pipeline.params import Params
-from pipeline.report import studies
+from pipeline.report import hyperparameters, studies
 from pipeline.report.comparison import compare, places, read_episodes, source
 from pipeline.report.names import Names
 from pipeline.report.sheets import sheets
@@ -53,6 +53,7 @@ def gather(params: Params, root: Path = Path()) -> dict[str, Any]:
         "own_tables": [table for name in params.envs for table in envs.report(name).tables(episodes[name])],
         "data": {name: beside_published(envs.report(name), of["statistics"]) for name, of in summaries.items()},
         "sources": sources,
+        "trains_less": hyperparameters.trains_less(params),
     }
 
 

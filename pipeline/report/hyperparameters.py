@@ -42,6 +42,13 @@ def shares_of_training(params: Params) -> list[dict[str, Any]]:
     return found
 
 
+def trains_less(params: Params) -> bool:
+    """Whether some cell trains with fewer samples than the paper profile's."""
+    return any(
+        share < 1 for of_environment in shares_of_training(params) for share in of_environment["shares"].values()
+    )
+
+
 def _samples(params: Params, environment: str, method: str) -> int:
     optimization = params.methods[method].train[environment].optimization
     return optimization.steps * optimization.batch_size
