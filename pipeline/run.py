@@ -1,91 +1,108 @@
 """`python -m pipeline.run -j N [STAGE ...]` is `dvc repro` with up to N independent stages side by side.
 
-Every stage runs as `dvc repro --single-item` in a process of its own, after all stages it depends on. DVC decides what
-really runs, and writes dvc.lock; in a new one the stages stand in the order in which they ended.
+Every stage runs as by `dvc repro --single-item`, in a process of its own, after all stages it depends on. DVC decides
+what really runs; in a new dvc.lock the stages stand in the order in which they ended.
 """
 
 import argparse
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import time
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
 
 from dvc.exceptions import DvcException
 from dvc.repo import Repo
 from dvc.repo.reproduce import collect_stages, get_active_graph, plan_repro
+from dvc.stage import PipelineStage
+from tqdm import tqdm
 
 from beso.errors import UserError
 from pipeline import paths
+from pipeline.reproduction import reproduce
 from pipeline.stage import guard
 
 LOGS = paths.SCRATCH / "logs"
+WRITING = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
 LAST_LINES = 12  # of the output of a stage that failed
 
 
-def plan(targets: list[str]) -> tuple[dict[str, set[str]], set[str]]:
-    """Addresses of the stages of `dvc repro TARGETS` that are out of date or follow such a one.
+@dataclass(frozen=True)
+class Step:
+    """A stage that is out of date or follows such a one.
 
-    Returns:
-        Each with those among them that it waits for, the one with the longest chain of others behind it first. And
-        those that run last, alone: they measure time (`meta: {alone: true}` in dvc.yaml).
+    Attributes:
+        waits_for: names of the steps that it waits for.
+        alone: whether it measures time, so that it runs last and alone (`meta: {alone: true}` in dvc.yaml).
+    """
+
+    stage: PipelineStage
+    waits_for: set[str]
+    alone: bool
+
+
+def plan(targets: list[str]) -> dict[str, Step]:
+    """What `dvc repro TARGETS` may run, by name; the one with the longest chain of others behind it first.
 
     Raises:
         UserError: no such stage, or DVC cannot read its files.
     """
+    tqdm.monitor_interval = 0  # without its thread this process can fork
     try:
-        with Repo() as repo:
+        with Repo(_wait_for_lock=True) as repo:
             graph = get_active_graph(repo.index.graph)
             stages = plan_repro(graph, collect_stages(repo, targets or ["dvc.yaml"]))
             stale = repo.status()
     except DvcException as error:
         raise UserError(str(error)) from None
-    waits_for: dict[str, set[str]] = {}
+    steps: dict[str, Step] = {}
     for stage in stages:  # in topological order
-        before = {upstream.addressing for upstream in graph.successors(stage)} & waits_for.keys()
+        before = {upstream.addressing for upstream in graph.successors(stage)} & steps.keys()
         if before or stage.addressing in stale:
-            waits_for[stage.addressing] = before
-    behind = dict.fromkeys(waits_for, 0)
-    for name in reversed(waits_for):
-        for upstream in waits_for[name]:
+            steps[stage.addressing] = Step(stage, before, bool((stage.meta or {}).get("alone")))
+    behind = dict.fromkeys(steps, 0)
+    for name in reversed(steps):
+        for upstream in steps[name].waits_for:
             behind[upstream] = max(behind[upstream], behind[name] + 1)
-    alone = {stage.addressing for stage in stages if (stage.meta or {}).get("alone")}
-    return {name: waits_for[name] for name in sorted(waits_for, key=lambda name: -behind[name])}, alone
+    return {name: steps[name] for name in sorted(steps, key=lambda name: -behind[name])}
 
 
 class Child:
     """One stage in a process group of its own, its output in a file."""
 
-    def __init__(self, name: str, workers: int) -> None:
-        self.name, self.start, self.processor = name, time.monotonic(), 0.0
-        self.log = LOGS / f"{name}.log"
+    def __init__(self, stage: PipelineStage, workers: int) -> None:
+        self.name, self.start, self.processor = stage.addressing, time.monotonic(), 0.0
+        self.log = LOGS / f"{self.name}.log"
         self.log.parent.mkdir(parents=True, exist_ok=True)
-        with self.log.open("w") as output:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "dvc", "--wait-for-lock", "repro", "--single-item", name],
-                env={**os.environ, "BESO_WORKERS": str(workers)},
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,  # so that Ctrl-C comes once, from `interrupt`
-                # A shell without job control lets what runs in its background ignore it, and so what that starts.
-                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-            )
+        self.code: int | None = None
+        sys.stdout.flush()
+        sys.stderr.flush()
+        self.pid = os.fork()
+        if not self.pid:
+            _become(stage, workers, self.log)
 
     def interrupt(self) -> None:
         """As Ctrl-C on a terminal: also to the stage's command, while which runs DVC ignores it."""
-        if self.process.poll() is None:
-            os.killpg(self.process.pid, signal.SIGINT)
+        if self.code is None:
+            os.killpg(self.pid, signal.SIGINT)
+
+    def wait(self) -> None:
+        """Until it has ended."""
+        if self.code is None:
+            os.waitpid(self.pid, 0)
 
     def ended(self) -> bool:
-        """Whether it has ended; `processor` is then what it and all its processes used, in seconds."""
-        if self.process.returncode is None:
-            pid, status, usage = os.wait4(self.process.pid, os.WNOHANG)
+        """Whether it has ended; `code` is then its exit code, `processor` what all its processes used, in seconds."""
+        if self.code is None:
+            pid, status, usage = os.wait4(self.pid, os.WNOHANG)
             if pid:
-                self.process.returncode = os.waitstatus_to_exitcode(status)
+                self.code = os.waitstatus_to_exitcode(status)
                 self.processor = usage.ru_utime + usage.ru_stime
-        return self.process.returncode is not None
+        return self.code is not None
 
     def time(self) -> str:
         """Minutes and seconds since it started."""
@@ -95,6 +112,31 @@ class Child:
         """What to tell the user: the stage, where its output is, and the end of that."""
         last = self.log.read_text(errors="replace").splitlines()[-LAST_LINES:]
         return "\n    ".join([f"{self.name} failed after {self.time()}; the end of {self.log}:", *last])
+
+
+def _become(stage: PipelineStage, workers: int, log: Path) -> NoReturn:
+    """Make a forked process one that runs a stage, and end it. Its input is empty, its output goes to `log`."""
+    code = 1
+    try:
+        os.setsid()  # so that Ctrl-C comes once, from `Child.interrupt`
+        # A shell without job control lets what runs in its background ignore it, and so what that starts.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        for number, opened in ((0, os.open(os.devnull, os.O_RDONLY)), (1, os.open(log, WRITING)), (2, 1)):
+            os.dup2(opened, number)
+        os.environ["BESO_WORKERS"] = str(workers)
+        reproduce(stage)
+        code = 0
+    except DvcException as error:
+        print(f"error: {error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)  # what the parent has registered for its end is not done here
 
 
 def _minutes(seconds: float) -> str:
@@ -130,39 +172,39 @@ class Progress:
             self.show("", end="")
 
 
-def execute(waits_for: dict[str, set[str]], alone: set[str], jobs: int, cores: int) -> tuple[list[str], list[str]]:
+def execute(steps: dict[str, Step], jobs: int, cores: int) -> tuple[list[str], list[str]]:
     """Run stages, up to `jobs` at once.
 
     Args:
-        waits_for, alone: see `plan`.
+        steps: see `plan`.
         cores: shared among the stages that run at one time.
 
     Returns:
         The stages that failed, and those that did not run because they wait for one that failed.
     """
-    waiting, done, failed = dict(waits_for), set[str](), list[str]()
+    waiting, done, failed = dict(steps), set[str](), list[str]()
     running: list[Child] = []
     progress = Progress(len(waiting))
     try:
         while True:
             for child in [c for c in running if c.ended()]:
                 running.remove(child)
-                if child.process.returncode == 0:
+                if child.code == 0:
                     done.add(child.name)
                     progress.event(f"{child.name} done in {child.time()}, {_minutes(child.processor)} of processor")
                 else:
                     failed.append(child.name)
                     progress.show(child.failure())
-            can_run = [name for name, before in waiting.items() if before <= done]
-            ready = [name for name in can_run if name not in alone][: jobs - len(running)]
-            if any(child.name in alone for child in running):
+            can_run = [name for name, step in waiting.items() if step.waits_for <= done]
+            ready = [name for name in can_run if not steps[name].alone][: jobs - len(running)]
+            if any(steps[child.name].alone for child in running):
                 ready = []
             elif not running and not ready:
                 ready = can_run[:1]
             workers = max(1, cores // max(1, len(running) + len(ready)))
             for name in ready:
                 del waiting[name]
-                running.append(Child(name, workers))
+                running.append(Child(steps[name].stage, workers))
                 progress.event(f"{name} started")
             if not running:
                 return failed, list(waiting)
@@ -173,7 +215,7 @@ def execute(waits_for: dict[str, set[str]], alone: set[str], jobs: int, cores: i
         for child in running:
             child.interrupt()
         for child in running:
-            child.process.wait()
+            child.wait()
 
 
 def main(*arguments: str) -> None:
@@ -183,7 +225,7 @@ def main(*arguments: str) -> None:
     options = parser.parse_args(arguments)
     if options.jobs < 1:
         parser.error("argument -j/--jobs: must be at least 1")
-    todo, alone = plan(options.stages)
+    todo = plan(options.stages)
     if not todo:
         print("everything is up to date")
         return
@@ -192,10 +234,10 @@ def main(*arguments: str) -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):  # in their own process groups the stages would go on
         if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores the second
             signal.signal(number, signal.default_int_handler)
-    failed, skipped = execute(todo, alone, options.jobs, available_workers())
+    failed, skipped = execute(todo, options.jobs, available_workers())
     if failed:
         raise UserError(f"failed: {', '.join(failed)}" + (f"; not run: {', '.join(skipped)}" if skipped else ""))
-    if stale := plan(options.stages)[0]:
+    if stale := plan(options.stages):
         raise UserError(f"still out of date: {', '.join(stale)}; something changed meanwhile, run again")
     print(f"{len(todo)} stages brought up to date")
 

@@ -1,0 +1,45 @@
+"""What `dvc repro --single-item STAGE` does, in a process that has read the project already.
+
+DVC's command reads dvc.yaml and dvc.lock, and at the end reads and writes all of dvc.lock once more: more than half of
+the 12 seconds of processor that a tiny stage took.
+"""
+
+import re
+from pathlib import Path
+
+from dvc.dvcfile import LOCK_FILE
+from dvc.stage import PipelineStage
+from dvc.stage.serialize import to_lockfile
+from dvc.utils.serialize import dumps_yaml
+
+from beso.files import write_text
+
+HEAD = "schema: '2.0'\nstages:\n"
+
+
+def reproduce(stage: PipelineStage) -> None:
+    """Run a stage if DVC finds that it is out of date.
+
+    Raises:
+        DvcException: it failed, or an input is missing.
+    """
+    repo = stage.repo
+    with repo.lock, repo.scm_context(quiet=True):
+        if stage.reproduce():
+            record(stage)
+
+
+def record(stage: PipelineStage) -> None:
+    """Write a stage's entry into dvc.lock, as `stage.dump(update_pipeline=False)` does, and keep the others' lines."""
+    path = Path(LOCK_FILE)
+    text = path.read_text() if path.exists() else HEAD
+    if not text.startswith(HEAD) or re.search(r"^\S", text[len(HEAD) :], re.MULTILINE):
+        stage.dump(update_pipeline=False)  # nothing that pipelines without data sets have; DVC knows what it is
+        return
+    entries = {_name(entry): entry for entry in re.split(r"^(?=  \S)", text[len(HEAD) :], flags=re.MULTILINE) if entry}
+    new = dumps_yaml({"stages": to_lockfile(stage)}).removeprefix("stages:\n")
+    write_text(path, HEAD + "".join((entries | {_name(new): new}).values()))
+
+
+def _name(entry: str) -> str:
+    return entry[: entry.index("\n")]
