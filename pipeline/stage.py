@@ -3,6 +3,7 @@
 import errno
 import logging
 import os
+import signal
 import sys
 from collections.abc import Callable
 
@@ -35,6 +36,10 @@ def guard(main: Callable[..., None], *given: str) -> None:
     log_to_stderr()
     try:
         main(*given)
+        sys.stdout.flush()
+    except BrokenPipeError:  # who reads the output has had enough, as `head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)
     except KeyboardInterrupt:
         _fail("interrupted; run the same command again: unfinished training continues, other stages start anew", 130)
     except UserError as error:

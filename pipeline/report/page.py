@@ -15,7 +15,7 @@ import pandas as pd
 from beso import envs
 from beso.files import read_json
 from pipeline import paths
-from pipeline.params import PATH, Params
+from pipeline.params import PATH, Film, Params
 from pipeline.report import hyperparameters
 from pipeline.report.comparison import VERDICTS, paper_numbers
 from pipeline.report.figures import CAPTIONS
@@ -153,26 +153,32 @@ def _figure(name: str, caption: str, path: Path) -> Picture:
 
 
 def _films(params: Params, names: Names, room: float) -> list[Picture]:
-    """The films, as far as there is room for so many bytes."""
-    films = []
-    for key, cell in params.films.items():
+    """The films. Where not all fit into so many bytes, those of every environment's first methods are left out."""
+    films: dict[str, Picture] = {}
+    for key, cell in sorted(params.films.items(), key=lambda film: _behind(params, film[1])):
         path = paths.film(cell.env, cell.method) / "rollout.webm"
         row, metric = read_json(path.with_suffix(".json")), envs.report(cell.env).METRICS[-1]
         title = f"{names.methods[cell.method]} in {names.environments[cell.env]}"
         if "no_film" in row:
-            films.append(Picture(key, f"{title}: no film. {row['no_film']}", None))
+            films[key] = Picture(key, f"{title}: no film. {row['no_film']}", None)
             continue
         caption = (
             f"{title}: seed {row['seed']}, episode {row['episode']}, {metric.label.lower()} {row[metric.name]:g} after"
             f" {row['length']} actions"
         )
         data = _data_url(path.read_bytes(), "video/webm")
-        room -= len(data)
-        if room < 0:
-            films.append(Picture(key, f"{caption}. The page has no room for it: {path}", None))
+        if len(data) > room:
+            films[key] = Picture(key, f"{caption}. The page has no room for it: {path}", None)
         else:
-            films.append(Picture(key, caption, data))
-    return films
+            room -= len(data)
+            films[key] = Picture(key, caption, data)
+    return [films[key] for key in params.films]
+
+
+def _behind(params: Params, film: Film) -> int:
+    """How many films of the same environment come after this one."""
+    same = [other.method for other in params.films.values() if other.env == film.env]
+    return len(same) - same.index(film.method)
 
 
 def _data_url(content: bytes, kind: str) -> str:
