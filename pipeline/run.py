@@ -5,6 +5,7 @@ what really runs; in a new dvc.lock the stages stand in the order in which they 
 """
 
 import argparse
+import contextlib
 import os
 import shutil
 import signal
@@ -84,6 +85,7 @@ class Child:
         self.pid = os.fork()
         if not self.pid:
             _become(stage, workers, self.log)
+        _lead_a_group(self.pid)
 
     def interrupt(self) -> None:
         """As Ctrl-C on a terminal: also to the stage's command, while which runs DVC ignores it."""
@@ -114,11 +116,20 @@ class Child:
         return "\n    ".join([f"{self.name} failed after {self.time()}; the end of {self.log}:", *last])
 
 
+def _lead_a_group(pid: int) -> None:
+    """Give a process, 0 for this one, a group of its own, so that Ctrl-C comes once, from `Child.interrupt`.
+
+    Parent and child both do it, as the parent may want to interrupt the group at once.
+    """
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # the child has ended, or runs its command
+        os.setpgid(pid, pid)
+
+
 def _become(stage: PipelineStage, workers: int, log: Path) -> NoReturn:
     """Make a forked process one that runs a stage, and end it. Its input is empty, its output goes to `log`."""
     code = 1
     try:
-        os.setsid()  # so that Ctrl-C comes once, from `Child.interrupt`
+        _lead_a_group(0)
         # A shell without job control lets what runs in its background ignore it, and so what that starts.
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
