@@ -34,7 +34,7 @@ def record(stage: PipelineStage) -> None:
     path = Path(LOCK_FILE)
     text = path.read_text() if path.exists() else HEAD
     if not text.startswith(HEAD) or re.search(r"^\S", text[len(HEAD) :], re.MULTILINE):
-        stage.dump(update_pipeline=False)  # nothing that pipelines without data sets have; DVC knows what it is
+        stage.dump(update_pipeline=False)  # not as this pipeline's looks, with `datasets` perhaps: left to DVC
         return
     entries = {_name(entry): entry for entry in re.split(r"^(?=  \S)", text[len(HEAD) :], flags=re.MULTILINE) if entry}
     new = dumps_yaml({"stages": to_lockfile(stage)}).removeprefix("stages:\n")

@@ -5,7 +5,6 @@ what really runs; in a new dvc.lock the stages stand in the order in which they 
 """
 
 import argparse
-import contextlib
 import os
 import shutil
 import signal
@@ -85,7 +84,7 @@ class Child:
         self.pid = os.fork()
         if not self.pid:
             _become(stage, workers, self.log)
-        _lead_a_group(self.pid)
+        os.setpgid(self.pid, self.pid)  # as the child does itself; whoever is first, `interrupt` finds the group
 
     def interrupt(self) -> None:
         """As Ctrl-C on a terminal: also to the stage's command, while which runs DVC ignores it."""
@@ -116,20 +115,11 @@ class Child:
         return "\n    ".join([f"{self.name} failed after {self.time()}; the end of {self.log}:", *last])
 
 
-def _lead_a_group(pid: int) -> None:
-    """Give a process, 0 for this one, a group of its own, so that Ctrl-C comes once, from `Child.interrupt`.
-
-    Parent and child both do it, as the parent may want to interrupt the group at once.
-    """
-    with contextlib.suppress(ProcessLookupError, PermissionError):  # the child has ended, or runs its command
-        os.setpgid(pid, pid)
-
-
 def _become(stage: PipelineStage, workers: int, log: Path) -> NoReturn:
     """Make a forked process one that runs a stage, and end it. Its input is empty, its output goes to `log`."""
     code = 1
     try:
-        _lead_a_group(0)
+        os.setpgid(0, 0)  # so that Ctrl-C comes once, from `Child.interrupt`
         # A shell without job control lets what runs in its background ignore it, and so what that starts.
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -214,8 +204,7 @@ def execute(steps: dict[str, Step], jobs: int, cores: int) -> tuple[list[str], l
                 ready = can_run[:1]
             workers = max(1, cores // max(1, len(running) + len(ready)))
             for name in ready:
-                del waiting[name]
-                running.append(Child(steps[name].stage, workers))
+                running.append(Child(waiting.pop(name).stage, workers))
                 progress.event(f"{name} started")
             if not running:
                 return failed, list(waiting)

@@ -178,7 +178,7 @@ def _films(params: Params, names: Names, room: float) -> list[Picture]:
 def _behind(params: Params, film: Film) -> int:
     """How many films of the same environment come after this one."""
     same = [other.method for other in params.films.values() if other.env == film.env]
-    return len(same) - same.index(film.method)
+    return len(same) - 1 - same.index(film.method)
 
 
 def _data_url(content: bytes, kind: str) -> str:
