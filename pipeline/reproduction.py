@@ -1,7 +1,7 @@
 """What `dvc repro --single-item STAGE` does, in a process that has read the project already.
 
-DVC's command reads dvc.yaml and dvc.lock, and at the end reads and writes all of dvc.lock once more: more than half of
-the 12 seconds of processor that a tiny stage took.
+DVC's command reads dvc.yaml and dvc.lock, and at the end reads and writes all of dvc.lock once more: where the lock has
+18,000 lines, 7 of the 10 seconds of a tiny stage.
 """
 
 import re
