@@ -1,7 +1,9 @@
-"""`python -m pipeline.tools.import_cells FOLDER` brings back what `pipeline.tools.train_cells` trained elsewhere.
+"""`python -m pipeline.tools.import_cells FOLDER` takes trained models instead of training them here.
 
-Seeds of the parameters and play data that are here go to the scratch folder, where a killed stage would have left them.
-`dvc repro train` then finds nothing left to train, writes models and curves, and records them as ever.
+FOLDER is what `pipeline.tools.train_cells` wrote elsewhere, or another run or archive, which `pipeline.tools.publish`
+makes: of an archive, the models whose weights it keeps, in half precision. Seeds of the parameters and play data that
+are here go to the scratch folder, where a killed stage would have left them. `dvc repro train` then finds nothing left
+to train, writes models and curves, and records them as ever.
 """
 
 import shutil
@@ -26,16 +28,17 @@ def main(folder: str) -> None:
     params = load()
     device = pick_device(params.machine.device).type
     if not Path(folder).is_dir():
-        raise UserError(f"{folder} is missing: expected the folder that train_cells wrote")
+        raise UserError(f"{folder} is missing: expected the folder that train_cells wrote, a run or an archive")
     for name, cell in params.cells.items():
-        trained = Path(folder) / cell.env / cell.method
-        if not trained.is_dir():
+        of_run = Path(folder) / paths.models(cell.env, cell.method)
+        trained = of_run if of_run.is_dir() else Path(folder) / cell.env / cell.method
+        if not any(trained.rglob("*.safetensors")):  # an archive keeps the weights of few
             continue
         jobs = cell_jobs(params, cell.env, cell.method)
-        digest = play.data_digest(play.load(paths.play(cell.env), envs.spec(cell.env)))
         try:
+            digest = play.data_digest(play.load(paths.play(cell.env), envs.spec(cell.env)))
             targets = [scratch.folder(*identity(params, cell.env, cell.method, job, digest, device)) for job in jobs]
-        except UserError as error:  # of a student's teacher
+        except UserError as error:  # of play data, or a student's teacher
             print(f"{name}: {error}; then import again")
             continue
         found = {job.seed: find_finished(trained, job, digest) for job in jobs}
@@ -51,8 +54,11 @@ def main(folder: str) -> None:
 
 
 def _compare_code(folder: Path, identities: list[list[Any]]) -> None:
-    """Say so if other files in beso/ trained a model: the folder's name covers them and its identity."""
+    """Say so if other files in beso/ trained a model: the name of train_cells' folder covers them and its identity."""
     seed, _, name = folder.name.partition("-")
+    if not name:
+        print(f"{folder}: taken; it does not tell which state of beso/ trained it")
+        return
     version = checkpoint.load_description(folder, int(seed.removeprefix("seed")))["torch"]
     if name not in {scratch.fingerprint(*identity, torch_version=version) for identity in identities}:
         print(f"{folder}: taken, but beso/ has changed since; see that its training has not")

@@ -103,11 +103,12 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
 
 
 def find_finished(trained: Path, job: TrainingJob, digest: str) -> Path | None:
-    """The folder, in one of a cell's, of a finished model of this job and play data; what others are is said."""
+    """The folder of a finished model of this job and play data, a cell's or one in it; what others are is said."""
     expected = json.loads(json.dumps(dataclasses.asdict(job)))
-    for folder in sorted(trained.glob(f"seed{job.seed}-*")):
-        if not checkpoint.paths(folder, job.seed)[1].is_file():
-            print(f"{folder}: not finished")
+    for folder in [trained, *sorted(trained.glob(f"seed{job.seed}-*"))]:
+        if not all(path.is_file() for path in checkpoint.paths(folder, job.seed)):
+            if folder != trained:
+                print(f"{folder}: not finished")
             continue
         description = checkpoint.load_description(folder, job.seed)
         if description["job"] != expected:

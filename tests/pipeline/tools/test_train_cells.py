@@ -14,7 +14,7 @@ from beso.data import play
 from beso.errors import UserError
 from pipeline import cells, params, paths, profile
 from pipeline.cells.training import train_cell
-from pipeline.tools import import_cells, train_cells, training_speed
+from pipeline.tools import import_cells, publish, train_cells, training_speed
 
 ROOT = Path(__file__).parents[3]
 CELL = "block_push-c_beso"
@@ -104,6 +104,27 @@ def test_the_stage_takes_what_was_brought_back(place, monkeypatch, capsys):
     train_cell(params.load(), "block_push", "c_beso")
     assert models("models") == models("trained")
     assert paths.curve("block_push", "c_beso").read_text().startswith("step,learning_rate,training_loss,")
+
+
+def test_models_of_an_archive_are_taken_as_trained(place, monkeypatch, capsys):
+    train_cell(params.load(), "block_push", "c_beso")
+    for weights in paths.models("block_push", "c_beso").glob("*.safetensors"):
+        publish.halve(weights, weights)
+    kept = models("models")
+    shutil.move("models", "archive/models")
+    Path("archive/models/block_push/gcbc").mkdir()
+    shutil.copy("archive/models/block_push/c_beso/seed1.json", "archive/models/block_push/gcbc")  # no weights
+    import_cells.main("archive")
+    said = capsys.readouterr().out
+    assert "archive/models/block_push/c_beso: taken; it does not tell which state of beso/ trained it\n" in said
+    assert f"{CELL}: all seeds\n" in said
+    assert "gcbc" not in said
+    monkeypatch.setattr(cells.training, "Training", None)  # nothing is trained
+    train_cell(params.load(), "block_push", "c_beso")
+    assert models("models") == kept
+    shutil.rmtree("data")
+    import_cells.main("archive")
+    assert f"{CELL}: data/play/block_push is not a play dataset" in capsys.readouterr().out
 
 
 def test_students_learn_from_the_teacher_beside_them(place, capsys):
