@@ -120,7 +120,7 @@ def _cells(files: Files, params: dict[str, Any]) -> dict[Source, pd.DataFrame]:
 def _studies(files: Files, params: dict[str, Any]) -> dict[Source, pd.DataFrame]:
     """Rows of studies, sampling by sampling."""
     found = {}
-    for name, study in params.get("studies", {}).items():
+    for name, study in (params.get("studies") or {}).items():
         rows, varied = _csv(files, paths.study(name)), list(study["vary"])
         if rows is not None and {*varied} <= {*rows.columns}:
             for values, part in rows.groupby(varied, sort=False, dropna=False):
@@ -158,7 +158,10 @@ def _revision(name: str) -> Files:
 
 def _csv(files: Files, path: Path) -> pd.DataFrame | None:
     text = files.read(path)
-    return None if text is None else pd.read_csv(io.StringIO(text))
+    try:
+        return None if text is None else pd.read_csv(io.StringIO(text))
+    except pd.errors.EmptyDataError:
+        raise UserError(f"{path} is empty: remove it or make it again") from None
 
 
 def compare(first: Run, second: Run) -> Iterator[Line]:
@@ -252,7 +255,7 @@ def report(names: tuple[str, str], runs: tuple[Run, Run], markdown: bool) -> str
 
 def _texts(line: Line, params: dict[str, Any]) -> tuple[str, ...]:
     room, source = envs.report(line.source.environment), line.source
-    method = params["methods"][source.method].get("label", source.method) + (
+    method = params["methods"].get(source.method, {}).get("label", source.method) + (
         f" ({source.changes})" if source.changes else ""
     )
     change = line.change

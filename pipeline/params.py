@@ -231,7 +231,10 @@ class Study:
     def __post_init__(self) -> None:
         require_positive(self, "rollouts")
         for name, values in self.vary.items():
-            require(isinstance(values, list) and len(values) > 0, f"vary.{name} = {values!r}: must be a list of values")
+            require(
+                isinstance(values, list) and len(values) > 0 and all(v not in values[:i] for i, v in enumerate(values)),
+                f"vary.{name} = {values!r}: must be a list of different values, at least one",
+            )
         require(len(self.vary) > 0, "vary = {}: must name at least one parameter")
 
 
@@ -244,6 +247,10 @@ class Latency:
 
     def __post_init__(self) -> None:
         require_positive(self, "repeats")
+        require(
+            len(self.batches) > 0 and min(self.batches) > 0,
+            f"batches = {list(self.batches)}: must be positive, at least one",
+        )
 
 
 @dataclass(frozen=True)
@@ -405,10 +412,10 @@ def read_yaml(path: Path) -> Any:
     return parse_yaml(text, str(path))
 
 
-def parse_yaml(text: str, where: str) -> Any:
-    """Read YAML 1.2. Raises UserError if it is none."""
+def parse_yaml(text: str, where: str, yaml: YAML | None = None) -> Any:
+    """Read YAML 1.2, with a given parser if not for plain mappings. Raises UserError if it is none."""
     try:
-        return YAML(typ="safe").load(text)
+        return (yaml or YAML(typ="safe")).load(text)
     except YAMLError as error:
         raise UserError(f"{where} is not valid YAML: {' '.join(str(error).split())}") from None
 
@@ -458,7 +465,8 @@ def parse(values: Any, where: str) -> Params:
     }
     for name, chosen in params.fork.methods.items():
         module, key = methods.load(name), f"{where}.fork.methods.{name}"
-        build(module.Config, chosen.model, f"{key}.model").check(build(module.Sampling, chosen.sample, f"{key}.sample"))
+        sampling = build(module.Sampling, chosen.sample, f"{key}.sample")
+        _fits(build(module.Config, chosen.model, f"{key}.model"), sampling, f"{key}.sample")
     params = dataclasses.replace(params, methods=checked)
     for key, cell in params.cells.items():
         _teacher(params, cell, f"{where}.cells.{key}")

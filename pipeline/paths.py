@@ -4,7 +4,7 @@ from pathlib import Path
 
 SCRATCH = Path(".scratch")
 REPORTS = Path("reports")
-LATENCY = Path("results/latency.csv")
+LATENCY = Path("timings/latency.csv")
 FORK = Path("results/fork.csv")
 
 

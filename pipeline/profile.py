@@ -47,7 +47,8 @@ def _read(name: str) -> tuple[str, Params]:
     yaml.width = 120
     values: Any = None
     for path in _files(COMPLETE):
-        part = yaml.load(path.read_text(encoding="utf-8"))
+        part = params.parse_yaml(path.read_text(encoding="utf-8"), str(path), yaml)
+        _require_mapping(part, str(path))
         if values is None:
             values = part
         else:
@@ -57,7 +58,9 @@ def _read(name: str) -> tuple[str, Params]:
             values[key] = {}
     if name != COMPLETE:
         for path in _files(name):
-            _change(values, params.read_yaml(path) or {}, str(path))
+            changes = params.read_yaml(path) or {}
+            _require_mapping(changes, str(path))
+            _change(values, changes, str(path))
     text = io.StringIO()
     yaml.dump(values, text)
     checked = params.parse(YAML(typ="safe").load(text.getvalue()), f"profile {name}")
@@ -75,6 +78,11 @@ def leaves(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 def _files(name: str) -> list[Path]:
     return sorted((FOLDER / name).glob("*.yaml"), key=lambda path: (path.name != FIRST, path.name))
+
+
+def _require_mapping(part: Any, where: str) -> None:
+    if not isinstance(part, dict):
+        raise UserError(f"{where}: must be a mapping, such as `environments:` with what belongs to it below")
 
 
 def _join(values: Any, part: Any, where: str) -> None:

@@ -31,6 +31,8 @@ def main(*arguments: str) -> None:
     jobs = evaluation_jobs(params, options.environment, options.method, sampling)
     if options.episode < 0:
         raise UserError(f"--episode {options.episode}: must not be negative")
+    if options.film.suffix != ".webm" or not options.film.parent.is_dir():
+        raise UserError(f"--film {options.film}: must be a .webm file in a folder that exists")
     job = dataclasses.replace(
         jobs[0],
         training=params.job(options.environment, options.method, options.seed),

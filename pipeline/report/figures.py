@@ -305,7 +305,7 @@ def fork_samples(params: Params, names: Names, table: pd.DataFrame) -> Figure:
         part = table[table["method"] == method]
         colour = COLOURS["paper"] if method == "data" else COLOURS["ours"]
         axis.scatter(part["x"], part["y"], s=2, color=colour, linewidths=0)
-        axis.set_title("demonstrations" if method == "data" else names.methods[method])
+        axis.set_title("demonstrations" if method == "data" else names.method(method))
         axis.set(xlim=(-1.2, 1.2), ylim=(-0.3, 0.9))
     figure.supxlabel("action, first entry")
     figure.supylabel("second entry")

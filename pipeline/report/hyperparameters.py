@@ -1,6 +1,7 @@
 """The appendix's hyper-parameter tables, made from parameters: this run's values beside the paper profile's."""
 
 import dataclasses
+from collections import Counter
 from typing import Any
 
 from pipeline import profile
@@ -55,20 +56,21 @@ def _samples(params: Params, environment: str, method: str) -> int:
 
 
 def _values(params: Params, environment: str, method: str) -> dict[str, str]:
-    training = dataclasses.asdict(params.methods[method].train[environment])
-    sampling = dataclasses.asdict(params.sampling(environment, method))
-    return {**_flat(training["model"]), **_flat(training["optimization"]), **_flat(sampling, "sampling: ")}
-
-
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, str]:
-    """Nested mappings as one, named by their innermost keys in words."""
-    flat: dict[str, str] = {}
-    for name, value in values.items():
-        if isinstance(value, dict):
-            flat |= _flat(value, prefix)
-        else:
-            flat[prefix + name.replace("_", " ")] = _text(value)
-    return flat
+    """A cell's values by name: the innermost key, with the part before it in sampling and where two parts have it."""
+    training = params.methods[method].train[environment]
+    parts = {
+        "model": dataclasses.asdict(training.model),
+        "optimization": dataclasses.asdict(training.optimization),
+        "sampling": dataclasses.asdict(params.sampling(environment, method)),
+    }
+    found = [
+        (part, key.split(".")[-1], value) for part, of in parts.items() for key, value in profile.leaves(of) if key
+    ]
+    count = Counter(name for part, name, _ in found if part != "sampling")
+    return {
+        (f"{part}: " if part == "sampling" or count[name] > 1 else "") + name.replace("_", " "): _text(value)
+        for part, name, value in found
+    }
 
 
 def _text(value: Any) -> str:

@@ -50,6 +50,9 @@ def parts(params: Params) -> dict[str, Part]:
     for name, cell in params.cells.items():
         methods = dict.fromkeys((cell.of, cell.method))
         own = [f"methods.{m}.{use}.{cell.env}" for m in methods for use in ("train", "sample")]
+        if teacher := params.teacher(cell.env, cell.method):
+            of_teacher = dict.fromkeys((params.cell(cell.env, teacher).of, teacher))
+            own += [f"cells.{name}.source", *(f"methods.{m}.train.{cell.env}" for m in of_teacher)]
         keys_of[name] = ("seed", f"environments.{cell.env}", f"images.{cell.env}", *own)
         rows = paths.episodes(cell.env, cell.method)
         found[f"evaluate@{name}"] = Part(f"evaluate@{name}", rows, keys_of[name], name, cell.env, cell.method)

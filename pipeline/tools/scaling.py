@@ -262,6 +262,8 @@ COLUMNS = ["stage", "at sizes", "s", "peak memory, MiB", "written, MiB", "at", "
 def main(method: str) -> None:
     paper = profile.load(profile.COMPLETE)
     setting = Setting(next(e for e in paper.envs if e not in paper.images), next(iter(paper.images)), method, paper)
+    for environment in (setting.states, setting.images):
+        paper.cell(environment, method)  # says which there are
     print("| " + " | ".join(COLUMNS) + " |\n" + "|---" * len(COLUMNS) + "|", flush=True)
     for part in parts(setting):
         print("| " + " | ".join(_row(part, setting)) + " |", flush=True)

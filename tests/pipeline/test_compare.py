@@ -132,6 +132,9 @@ def test_runs_without_results_or_anything_in_common_are_one_line(run, tmp_path):
         told(a, b)
     with pytest.raises(UserError, match="no results there"):
         compare.load(run("c", {}))
+    (Path(a) / "results/block_push/gcbc.csv").write_text("")
+    with pytest.raises(UserError, match=r"results/block_push/gcbc\.csv is empty"):
+        compare.load(a)
 
 
 def test_a_comparison_stands_for_missing_episodes(run):

@@ -1,6 +1,7 @@
 import copy
 import dataclasses
 import math
+import shutil
 from pathlib import Path
 
 import pytest
@@ -138,6 +139,14 @@ def cell(env, method, of=None, source=None):
         (("films", "block_push-gcbc"), film("block_push", "ril"), r"films\.block_push-gcbc: is not among the cells"),
         (("studies", "samplers_block_push", "vary"), {}, r"vary = {}: must name at least one parameter"),
         (("studies", "samplers_block_push", "vary"), {"sampler": "x"}, r"vary\.sampler = 'x': must be a list"),
+        (("studies", "samplers_block_push", "vary"), {"steps": [3, 5, 3]}, r"vary\.steps = .*: must be .* different"),
+        (
+            ("fork", "methods", "cx_diff", "sample", "steps"),
+            9999,
+            r"fork\.methods\.cx_diff\.sample: steps = 9999: must",
+        ),
+        (("latency", "batches"), [], r"latency: batches = \[\]: must be positive, at least one"),
+        (("latency", "batches"), [1, 0], r"latency: batches = \[1, 0\]: must be positive"),
         (("studies", "samplers_block_push", "vary"), {"speed": [1]}, r"samplers_block_push\.speed = 1: unknown"),
         (("studies", "samplers_block_push", "vary"), {"sampler": ["x"]}, r"sampler = 'x': must be one of euler,"),
         (
@@ -303,6 +312,22 @@ def test_unreadable_files_are_one_line(tmp_path):
     with pytest.raises(UserError, match="is not valid YAML") as error:
         params.read_yaml(file)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "message"),
+    [
+        ("paper/kitchen.yaml", "a: [1,", r"paper/kitchen\.yaml is not valid YAML"),
+        ("paper/kitchen.yaml", "", r"paper/kitchen\.yaml: must be a mapping"),
+        ("smoke/kitchen.yaml", "- 1", r"smoke/kitchen\.yaml: must be a mapping"),
+    ],
+)
+def test_a_broken_profile_is_one_line(tmp_path, monkeypatch, file, text, message):
+    shutil.copytree(profile.FOLDER, tmp_path / "profiles")
+    (tmp_path / "profiles" / file).write_text(text)
+    monkeypatch.setattr(profile, "FOLDER", tmp_path / "profiles")
+    with pytest.raises(UserError, match=message):
+        profile.render("smoke")
 
 
 def test_unknown_profile_is_refused():

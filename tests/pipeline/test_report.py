@@ -242,8 +242,8 @@ def test_a_profile_without_an_environment_leaves_no_broken_place(workspace):
     left_out = nothing_of("calvin", YAML(typ="safe").load(workspace.folder / "profiles/paper/calvin.yaml"))
     YAML().dump(left_out, workspace.folder / "profiles/smoke/calvin.yaml")
     workspace.python("-m", "pipeline.profile", "smoke")
-    latency = pd.read_csv(workspace.folder / "results/latency.csv").query("environment != 'calvin'")
-    latency.to_csv(workspace.folder / "results/latency.csv", index=False)  # as the stage would, but at once
+    latency = pd.read_csv(workspace.folder / "timings/latency.csv").query("environment != 'calvin'")
+    latency.to_csv(workspace.folder / "timings/latency.csv", index=False)  # as the stage would, but at once
     for stage in ("tables", "page"):
         workspace.python("-m", f"stages.{stage}")
     assert_each_figure_is_shown_once(workspace.folder)
@@ -270,7 +270,7 @@ def test_goal_images_stand_beside_the_rollouts_ends(finished):
 
 
 def test_latency_is_measured_for_every_method_at_the_papers_size(finished):
-    table = pd.read_csv(finished.folder / "results/latency.csv")
+    table = pd.read_csv(finished.folder / "timings/latency.csv")
     assert set(zip(table["method"], table["batch"], strict=True)) == {
         (cell.method, batch) for cell in profile.load("smoke").cells.values() for batch in (1, 4)
     }
@@ -322,7 +322,7 @@ def test_films_that_the_page_has_no_room_for_are_named(finished, monkeypatch):
     monkeypatch.chdir(finished.folder)
     monkeypatch.setattr(page, "PAGE_BYTES", 0)
     given = params.load()
-    text = page.render(given, gather(given), pd.read_csv("results/latency.csv"))
+    text = page.render(given, gather(given), pd.read_csv("timings/latency.csv"))
     assert "The page has no room for it: films/block_push/c_beso/rollout.webm" in text
     assert "<video" not in text
 
@@ -339,6 +339,9 @@ def test_watch_films_an_episode_of_the_evaluation(finished, tmp_path):
     while capture.read()[0]:
         frames += 1
     assert frames == row["length"] + 1
+    for name in ("watch.mp4", "nowhere/watch.webm"):
+        done = finished.python(*command[:-1], str(tmp_path / name), check=False)
+        assert done.stderr == f"error: --film {tmp_path / name}: must be a .webm file in a folder that exists\n"
 
 
 def test_studies_have_a_row_an_episode_and_sampling_from_the_same_starts(finished):
