@@ -24,9 +24,9 @@ class Workspace:
 
     @classmethod
     def fresh(cls, folder):
-        """What a stranger has after cloning, set to the smoke profile, its dvc.lock of another profile gone."""
+        """What a stranger has after cloning, set to the smoke profile; what is of other profiles' runs is gone."""
         listed = subprocess.run(
-            ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+            ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", ":!reports/published"],
             cwd=ROOT,
             check=True,
             capture_output=True,
