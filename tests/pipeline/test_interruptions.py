@@ -76,6 +76,7 @@ def test_ctrl_c_is_one_line_and_the_next_repro_continues(small):
 )
 def test_a_full_disk_is_one_line_and_replaces_nothing(small, command, limit, kept):
     """A limit on the size of files stands for the full disk: writing fails half-way in the same place."""
+    small.set("machine.workers", 2)
     small.set("environments.block_push.training.validation.every", 30)
     before = small.files(*kept)
     done = small.run(

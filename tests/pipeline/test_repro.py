@@ -73,7 +73,7 @@ def test_a_change_in_a_methods_file_reruns_that_method_only(workspace, finished_
 
 
 def test_machine_settings_rerun_nothing_but_the_page(small):
-    small.set("machine.workers", 1)
+    small.set("machine.workers", 2)
     assert small.repro() == ["page"]  # it prints params.yaml
 
 
