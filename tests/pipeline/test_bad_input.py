@@ -1,5 +1,6 @@
 """Mistakes a user can make: one clear line, exit code 1, no traceback, everything else as it was."""
 
+import runpy
 import sys
 
 import numpy as np
@@ -11,25 +12,42 @@ from beso.envs import spec
 DATA = "data/play/block_push"
 
 
-def fails(workspace, *command):
-    """Run a command that must fail; its one line of error, after checking that results are as before."""
+def started(workspace, name, *arguments):
+    """Exit code and output of a stage."""
+    done = workspace.run(sys.executable, "-m", f"stages.{name}", *arguments, check=False)
+    return done.returncode, done.stdout
+
+
+@pytest.fixture
+def called(monkeypatch, capfd):
+    """As `started`, without the seconds that a new process takes to start."""
+
+    def call(workspace, name, *arguments):
+        monkeypatch.chdir(workspace.folder)
+        monkeypatch.setattr(sys, "argv", ["-m", *arguments])
+        monkeypatch.delitem(sys.modules, f"stages.{name}", raising=False)  # runpy warns of it
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_module(f"stages.{name}", run_name="__main__", alter_sys=True)
+        return ended.value.code, "".join(capfd.readouterr())
+
+    return call
+
+
+def fails(run, workspace, name, *arguments):
+    """Run a stage that must fail; its one line of error, after checking that results are as before."""
     before = workspace.files("models", "results", "reports")
-    done = workspace.run(*command, check=False)
-    assert done.returncode == 1, done.stdout
-    assert "Traceback" not in done.stdout
+    code, output = run(workspace, name, *arguments)
+    assert code == 1, output
+    assert "Traceback" not in output
     assert workspace.files("models", "results", "reports") == before
-    lines = [line for line in done.stdout.splitlines() if line.startswith("error: ")]
-    assert len(lines) == 1, done.stdout
+    lines = [line for line in output.splitlines() if line.startswith("error: ")]
+    assert len(lines) == 1, output
     return lines[0]
-
-
-def stage(workspace, name, *arguments):
-    return fails(workspace, sys.executable, "-m", f"stages.{name}", *arguments)
 
 
 def test_unknown_parameter(small):
     small.set("methods.gcbc.train.block_push.model.depth", 3)
-    line = stage(small, "train", "block_push", "gcbc")
+    line = fails(started, small, "train", "block_push", "gcbc")
     assert "params.yaml.methods.gcbc.train.block_push.model.depth = 3: unknown key" in line
     small.set("methods.gcbc.train.block_push.model", {"width": 32, "layers": 2, "dropout": 0.1})
     small.python("-m", "pipeline.params")
@@ -49,22 +67,24 @@ def test_wrong_type_through_dvc(small):
     assert small.repro() == []  # what the failed stage's start removed comes back from DVC's cache
 
 
-def test_a_teacher_of_other_parameters_or_data(small):
+def test_a_teacher_of_other_parameters_or_data(small, called):
     cell, models = ("train", "block_push", "c_beso_one_step"), "models/block_push/c_beso"
     small.set("methods.c_beso.train.block_push.optimization.steps", 31)
-    line = stage(small, *cell)
+    line = fails(called, small, *cell)
     assert line.startswith(
         f"error: {models}/seed1.json is a checkpoint of another configuration: config.optimization.st"
     )
     small.set("methods.c_beso.train.block_push.optimization.steps", 30)
     description = small.folder / models / "seed1.json"
     description.write_text(description.read_text().replace('"data": "', '"data": "x'))
-    assert stage(small, *cell) == f"error: {models}, the teacher, was trained on other play data; train it again"
+    assert (
+        fails(called, small, *cell) == f"error: {models}, the teacher, was trained on other play data; train it again"
+    )
     description.unlink()
-    assert stage(small, *cell) == f"error: {models}/seed1.json is missing: train this model first"
+    assert fails(called, small, *cell) == f"error: {models}/seed1.json is missing: train this model first"
 
 
-def test_nan_in_a_dataset(small):
+def test_nan_in_a_dataset(small, called):
     folder = small.folder / DATA
     dataset = play.load(folder, spec("block_push"))
     observations = np.array(dataset.observations)
@@ -73,41 +93,44 @@ def test_nan_in_a_dataset(small):
         observations, np.array(dataset.actions), np.array(dataset.tasks), np.array(dataset.episode_ends), {}
     )
     play.save(broken, folder)
-    line = stage(small, "train", "block_push", "gcbc")
+    line = fails(called, small, "train", "block_push", "gcbc")
     assert "observations has a value that is not finite (NaN or infinity), first at step 7" in line
 
 
-def test_truncated_array(small):
+def test_truncated_array(small, called):
     path = small.folder / DATA / "actions.npy"
     path.write_bytes(path.read_bytes()[:-100])
-    assert "actions.npy is truncated" in stage(small, "train", "block_push", "gcbc")
+    assert "actions.npy is truncated" in fails(called, small, "train", "block_push", "gcbc")
 
 
-def test_missing_dataset(small):
+def test_missing_dataset(small, called):
     (small.folder / DATA).rename(small.folder / "elsewhere")
-    assert "data/play/block_push is not a play dataset" in stage(small, "train", "block_push", "gcbc")
+    assert "data/play/block_push is not a play dataset" in fails(called, small, "train", "block_push", "gcbc")
 
 
-def test_missing_and_altered_trials(small):
+def test_missing_and_altered_trials(small, called):
     folder = small.folder / "data/trials/block_push"
     goals = folder / "goal.npy"
     goals.write_bytes(goals.read_bytes()[:-4] + b"\0\0\0\1")
-    assert "goal.npy is not the file that trials.json describes" in stage(small, "evaluate", "block_push", "gcbc")
+    assert "goal.npy is not the file that trials.json describes" in fails(
+        called, small, "evaluate", "block_push", "gcbc"
+    )
     folder.rename(small.folder / "elsewhere")
-    line = stage(small, "evaluate", "block_push", "gcbc")
+    line = fails(called, small, "evaluate", "block_push", "gcbc")
     assert "data/trials/block_push has no trials.json: run `dvc repro trials`" in line
 
 
-def test_checkpoint_of_another_configuration(small):
+def test_checkpoint_of_another_configuration(small, called):
     small.set("methods.gcbc.train.block_push.model.width", 33)
-    line = stage(small, "evaluate", "block_push", "gcbc")
+    line = fails(called, small, "evaluate", "block_push", "gcbc")
     assert "checkpoint of another configuration: config.model.width is 32 there and 33 here" in line
 
 
 def test_damaged_checkpoint(small):
+    small.set("machine.workers", 2)
     path = small.folder / "models/block_push/gcbc/seed1.safetensors"
     path.write_bytes(path.read_bytes()[:100])
-    assert "seed1.safetensors is missing or damaged" in stage(small, "evaluate", "block_push", "gcbc")
+    assert "seed1.safetensors is missing or damaged" in fails(started, small, "evaluate", "block_push", "gcbc")
 
 
 @pytest.mark.parametrize(
@@ -117,29 +140,32 @@ def test_damaged_checkpoint(small):
         ("kitchen", "nowhere/observations_seq.npy is missing"),
     ],
 )
-def test_published_folder_that_is_not_there(workspace, env, message):
+def test_published_folder_that_is_not_there(workspace, env, message, called):
     workspace.set(f"environments.{env}.collect.source", "published")
     workspace.set(f"environments.{env}.collect.folder", "nowhere")
-    assert message in stage(workspace, "collect", env)
+    assert message in fails(called, workspace, "collect", env)
 
 
 def test_missing_results(small):
     (small.folder / "results/block_push/gcbc.csv").unlink()
-    line = stage(small, "tables")
+    line = fails(started, small, "tables")
     assert line == ("error: results/block_push/gcbc.csv is missing: run `dvc repro evaluate@block_push-gcbc`")
 
 
-@pytest.mark.parametrize("arguments", [(), ("block_push",), ("block_push", "gcbc", "more")])
-def test_wrong_number_of_arguments(finished, arguments):
-    done = finished.run(sys.executable, "-m", "stages.train", *arguments, check=False)
-    assert done.returncode == 2
-    assert done.stdout.splitlines()[-1] == "usage: train.py ENVIRONMENT METHOD"
+def test_wrong_number_of_arguments(finished, called):
+    wrong = ((started, ()), (called, ("block_push",)), (called, ("block_push", "gcbc", "more")))
+    for run, arguments in wrong:
+        code, output = run(finished, "train", *arguments)
+        assert code == 2
+        assert output.splitlines()[-1] == "usage: train.py ENVIRONMENT METHOD"
 
 
-def test_unknown_names(workspace):
+def test_unknown_names(finished, called):
     unknown = "environment 'moon' is not in params.yaml: block_push, calvin, kitchen are"
     for name in ("train", "evaluate", "film"):
-        assert unknown in stage(workspace, name, "moon", "gcbc")
-        assert "params.yaml has no cell block_push-sac: block_push-gcbc" in stage(workspace, name, "block_push", "sac")
-    assert unknown in stage(workspace, "collect", "moon")
-    assert "study 'moons' is not in params.yaml: samplers_block_push" in stage(workspace, "study", "moons")
+        assert unknown in fails(called, finished, name, "moon", "gcbc")
+        assert "params.yaml has no cell block_push-sac: block_push-gcbc" in fails(
+            called, finished, name, "block_push", "sac"
+        )
+    assert unknown in fails(called, finished, "collect", "moon")
+    assert "study 'moons' is not in params.yaml: samplers_block_push" in fails(called, finished, "study", "moons")
