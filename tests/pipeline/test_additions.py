@@ -195,7 +195,8 @@ def test_a_method_is_one_file_and_its_parameters(small):
     assert changed(small) == {"beso/methods/linear.py"}
     assert "& Linear" in (small.folder / "reports/tables.tex").read_text()
     small.set("methods.linear.sample.block_push.gain", 2.0)
-    assert small.repro() == ["evaluate@block_push-linear", "tables", "page"]
+    assert small.stale() == {"evaluate@block_push-linear", "tables", "page"}
+    assert small.repro("evaluate@block_push-linear") == ["evaluate@block_push-linear"]
 
 
 def test_a_variant_is_parameters_alone(small):
@@ -221,7 +222,7 @@ def test_a_variant_is_parameters_alone(small):
 def test_a_student_follows_its_teacher(small):
     student = ["train@block_push-c_beso_one_step", "evaluate@block_push-c_beso_one_step"]
     small.set("methods.c_beso_one_step.train.block_push", {"optimization": {"steps": 31}})
-    assert [stage for stage in small.repro() if "@" in stage] == student
+    assert small.repro("train", "evaluate", "study", "film") == student
     small.set("methods.c_beso.train.block_push.optimization.steps", 31)
     ran = small.repro(student[1])
     assert ran.index("train@block_push-c_beso") < ran.index(student[0]) < ran.index(student[1])

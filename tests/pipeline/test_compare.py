@@ -165,7 +165,7 @@ def test_revisions_have_episodes_through_dvc_or_else_their_comparison(small):
     assert "HEAD and . do not differ: the same in all 32 episodes." not in done.stdout  # the studies' rows count too
     assert "HEAD and . do not differ: the same in all " in done.stdout
     small.set("methods.c_beso.sample.block_push.sampler", "euler_ancestral")
-    small.dvc("repro", "tables")
+    small.repro("evaluate@block_push-c_beso")
     done = small.python("-m", "pipeline.compare", "HEAD", ".", "--markdown")
     assert "| Block-Push | C-BESO | training goals | Result |" in done.stdout
     assert "methods.c_beso.sample.block_push.sampler: ddim -> euler_ancestral" in done.stdout
