@@ -13,6 +13,7 @@ from beso import checkpoint
 from beso.errors import UserError
 from beso.policy import Policy
 from pipeline.params import PATH, load
+from pipeline.report import figures
 from pipeline.tools import publish
 
 COMMITTED = sorted((Path(__file__).parents[3] / publish.FOLDER).iterdir())
@@ -26,6 +27,14 @@ def archived(finished, tmp_path_factory):
     """The finished smoke run with an archive of all of it."""
     workspace = finished.copy(tmp_path_factory.mktemp("archived") / "workspace")
     workspace.python("-m", "pipeline.tools.publish", "--weights", "c_beso")
+    return workspace
+
+
+@pytest.fixture(scope="module")
+def archived_small(finished_small, tmp_path_factory):
+    """The small finished workspace with an archive of all of it."""
+    workspace = finished_small.copy(tmp_path_factory.mktemp("archived_small") / "workspace")
+    workspace.python("-m", "pipeline.tools.publish")
     return workspace
 
 
@@ -69,12 +78,15 @@ def test_archives_keep_the_weights_that_were_asked_for_and_git_takes_them(archiv
     assert sum(map(len, contents(archive).values())) < 8e6
 
 
-def test_an_archive_grows_in_sittings_to_the_same_bytes(archived, tmp_path):
+def test_an_archive_grows_in_sittings_to_the_same_bytes(archived, tmp_path, monkeypatch):
     first, second = archived.copy(tmp_path / "first"), archived.copy(tmp_path / "second")
     whole = contents(archived.folder / ARCHIVE)
     for workspace in (first, second):
         shutil.rmtree(workspace.folder / ARCHIVE)
-    first.python("-m", "pipeline.tools.publish", "kitchen", "fork", "--weights", "c_beso")
+    monkeypatch.chdir(first.folder)
+    with monkeypatch.context() as context:
+        context.setattr(figures, "save", lambda *_: None)  # most of the time, and the second sitting replaces them
+        publish.main("kitchen", "fork", "--weights", "c_beso")
     missing = not_run(first.folder / ARCHIVE) - not_run(first.folder / "reports")
     assert {environment for environment, _ in missing} == {"block_push"}
     assert {"gcbc", "c_beso"} <= {method for _, method in missing}
@@ -96,32 +108,33 @@ def refused(workspace, monkeypatch, *arguments):
     return str(error.value)
 
 
-def test_cells_of_other_parameters_or_data_do_not_stand_side_by_side(archived, tmp_path, monkeypatch):
-    workspace = archived.copy(tmp_path / "workspace")
-    record = workspace.folder / ARCHIVE / "results/kitchen/gcbc.json"
+def test_cells_of_other_parameters_or_data_do_not_stand_side_by_side(archived_small, tmp_path, monkeypatch):
+    workspace = archived_small.copy(tmp_path / "workspace")
+    record = workspace.folder / ARCHIVE / "results/block_push/gcbc.json"
     made = json.loads(record.read_text())
     record.write_text(json.dumps(made | {"data": "another"}))
-    line = refused(workspace, monkeypatch, "evaluate@kitchen-c_beso")
-    assert line.startswith(f"{ARCHIVE} has evaluate@kitchen-gcbc of other data: data 'another' there and '")
+    line = refused(workspace, monkeypatch, "evaluate@block_push-c_beso")
+    assert line.startswith(f"{ARCHIVE} has evaluate@block_push-gcbc of other data: data 'another' there and '")
     record.write_text(json.dumps(made))
-    workspace.set("environments.kitchen.evaluation.seed", 7)
+    workspace.set("environments.block_push.evaluation.seed", 7)
     assert refused(workspace, monkeypatch) == (
-        f"{ARCHIVE} has evaluate@kitchen-gcbc of other parameters: environments.kitchen.evaluation.seed is 1000 there"
-        " and 7 here; archive it anew, or drop it: `python -m pipeline.tools.publish --drop evaluate@kitchen-gcbc`"
+        f"{ARCHIVE} has evaluate@block_push-gcbc of other parameters: environments.block_push.evaluation.seed is 1000"
+        " there and 7 here; archive it anew, or drop it:"
+        " `python -m pipeline.tools.publish --drop evaluate@block_push-gcbc`"
     )
-    line = refused(workspace, monkeypatch, "kitchen")
-    assert line.startswith("kitchen is not finished: run `python -m pipeline.run evaluate@kitchen-gcbc ")
+    line = refused(workspace, monkeypatch, "block_push")
+    assert line.startswith("block_push is not finished: run `python -m pipeline.run evaluate@block_push-gcbc ")
 
 
-def test_a_dropped_cell_is_not_run(archived, tmp_path, monkeypatch):
-    workspace = archived.copy(tmp_path / "workspace")
+def test_a_dropped_cell_is_not_run(archived_small, tmp_path, monkeypatch):
+    workspace = archived_small.copy(tmp_path / "workspace")
     monkeypatch.chdir(workspace.folder)
-    publish.main("--drop", "evaluate@kitchen-gcbc")
+    publish.main("--drop", "evaluate@block_push-gcbc")
     archive = workspace.folder / ARCHIVE
-    assert not list(archive.rglob("*kitchen/gcbc*"))
-    assert not_run(archive) - not_run(workspace.folder / "reports") == {("kitchen", "gcbc")}
-    line = refused(workspace, monkeypatch, "--drop", "evaluate@kitchen-gcbc")
-    assert line.startswith(f"--drop evaluate@kitchen-gcbc: {ARCHIVE} has evaluate@block_push-gcbc, ")
+    assert not list(archive.rglob("*block_push/gcbc*"))
+    assert not_run(archive) - not_run(workspace.folder / "reports") == {("block_push", "gcbc")}
+    line = refused(workspace, monkeypatch, "--drop", "evaluate@block_push-gcbc")
+    assert line.startswith(f"--drop evaluate@block_push-gcbc: {ARCHIVE} has evaluate@block_push-c_beso, ")
     assert "study@samplers_block_push is of cell block_push-c_beso, which is not archived" in refused(
         workspace, monkeypatch, "--drop", "evaluate@block_push-c_beso"
     )
