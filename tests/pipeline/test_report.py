@@ -341,7 +341,7 @@ def test_watch_films_an_episode_of_the_evaluation(finished, tmp_path):
     assert frames == row["length"] + 1
     for name in ("watch.mp4", "nowhere/watch.webm"):
         done = finished.python(*command[:-1], str(tmp_path / name), check=False)
-        assert done.stderr == f"error: --film {tmp_path / name}: must be a .webm file in a folder that exists\n"
+        assert done.stdout == f"error: --film {tmp_path / name}: must be a .webm file in a folder that exists\n"
 
 
 def test_studies_have_a_row_an_episode_and_sampling_from_the_same_starts(finished):
