@@ -54,7 +54,7 @@ def choose(available: dict[str, Part], names: list[str]) -> list[Part]:
         if not of_name:
             raise UserError(f"{name!r} is neither an environment nor one of {', '.join(available)}")
     wanted = {p.stage: p for of_name in named.values() for p in of_name} if names else available
-    stale = plan(list(wanted))
+    stale = plan([])
     for name, of_name in named.items():
         if all(p.stage in stale for p in of_name):
             raise UserError(
