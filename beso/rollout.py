@@ -21,7 +21,6 @@ from beso.evaluation_config import Chunk, EvaluationConfig
 from beso.noise import EpisodeNoise
 from beso.policy import Agent
 from beso.seeding import generator
-from beso.training_config import TrainingJob
 
 Row = dict[str, Any]
 Film = Callable[[np.ndarray], None]
@@ -35,7 +34,7 @@ class EvaluationJob:
     Attributes:
         environment: its name.
         data, trials, models: folders of the play data, of the episodes and of the trained models.
-        training: the trained model.
+        seed: the trained model's number.
         sampling: how it generates actions.
         config: number of episodes, goals, seed.
         device: name of the device.
@@ -45,7 +44,7 @@ class EvaluationJob:
     data: Path
     trials: Path
     models: Path
-    training: TrainingJob
+    seed: int
     sampling: Any
     config: EvaluationConfig
     device: str
@@ -61,13 +60,12 @@ def evaluate(
         witness: called with every episode's row and outcome.
 
     Raises:
-        UserError: trials or models are missing or damaged, or the models are of another training.
+        UserError: trials or models are missing or damaged.
     """
     device, protocol = pick_device(job.device), envs.evaluation(job.environment)
-    config, training = job.config, job.training
+    config = job.config
     all_trials = trials.load(job.trials)
-    checkpoint.check(job.models, training)
-    policy = checkpoint.load(job.models, training.seed, job.sampling, device)
+    policy = checkpoint.load(job.models, job.seed, job.sampling, device)
     frozen, own = protocol.encoder(job.data, device), policy.encode  # one of them, or both, leave observations alone
     policy = replace(policy, encode=lambda observations: own(frozen(observations)))
     # Made once: an episode depends on its reset alone.
@@ -79,13 +77,13 @@ def evaluate(
     try:
         for chunk in chunks:
             numbers = range(chunk.first, chunk.last)
-            chosen = trials.pick(all_trials, chunk.goals, training.seed, numbers)
+            chosen = trials.pick(all_trials, chunk.goals, job.seed, numbers)
             role = f"policy noise, {chunk.goals} goals"
-            noise = EpisodeNoise([generator(config.seed, role, training.seed, i) for i in numbers], device)
+            noise = EpisodeNoise([generator(config.seed, role, job.seed, i) for i in numbers], device)
             outcomes = _play(chosen, environments, policy, noise, device, config.max_actions, film)
             rows = []
             for i, trial, outcome in zip(numbers, chosen, outcomes, strict=True):
-                row = {"seed": training.seed, "goals": chunk.goals, "episode": i}
+                row = {"seed": job.seed, "goals": chunk.goals, "episode": i}
                 rows.append({**row, **trial.labels, **protocol.score(trial, outcome)})
                 if witness:
                     witness(rows[-1], outcome)

@@ -16,7 +16,7 @@ import torch
 from tqdm import tqdm
 
 from beso.errors import UserError
-from pipeline.params import Machine
+from pipeline.machine import Machine
 from pipeline.stage import log_to_stderr
 
 Result = TypeVar("Result")
@@ -102,7 +102,7 @@ def _connect(machine: Machine) -> Any:
     try:
         import ray
     except ImportError:
-        raise UserError("machine.engine = ray: Ray is not installed; pip install -e '.[ray]'") from None
+        raise UserError("machine.yaml: engine = ray: Ray is not installed; pip install -e '.[ray]'") from None
     if not ray.is_initialized():
         try:
             # The workers' lines, and Ray's long ones on each death, stay in Ray's logs.
@@ -110,7 +110,7 @@ def _connect(machine: Machine) -> Any:
         except (ConnectionError, RuntimeError) as error:
             reason = str(error).splitlines()[0].partition(". ")[0]
             raise UserError(
-                f"machine.ray_address = {machine.ray_address}: no connection to a Ray cluster ({reason}); "
+                f"machine.yaml: ray_address = {machine.ray_address}: no connection to a Ray cluster ({reason}); "
                 "`ray start --head` starts one"
             ) from None
     return ray

@@ -1,4 +1,4 @@
-"""Where independent jobs run: in processes on this machine or on a Ray cluster, as params.yaml's `machine` says.
+"""Where independent jobs run: in processes on this machine or on a Ray cluster, as machine.yaml says.
 
 Results are the same bytes, whatever the engine: every job takes its randomness from its own arguments.
 """
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
 from pipeline import cluster, pool
-from pipeline.params import Machine
+from pipeline.machine import Machine
 
 Result = TypeVar("Result")
 

@@ -1,217 +1,58 @@
 """params.yaml as frozen objects, checked as a whole before any work.
 
-`python -m pipeline.params` checks the file and says so.
+A method's values for one environment are merged from a few blocks, the later ones over the earlier:
+
+    all_methods: all, then the environment's own
+    the method that `like` names, with what that is like
+    the method itself: all, then the environment's own
+
+null in place of a mapping drops it.
 """
 
 import dataclasses
 import itertools
 import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
-
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
+from typing import Any
 
 from beso import envs, methods
 from beso.config import build, require, require_positive
 from beso.errors import UserError
-from beso.evaluation_config import EvaluationConfig
-from beso.images.pretraining import Pretraining
-from beso.images.resnet import check_width
-from beso.training_config import TrainingConfig, TrainingJob, ValidationConfig
+from beso.training_config import TrainingConfig, TrainingJob
 from pipeline import paths
+from pipeline.recipes import CellPaths, EvaluateRecipe, StudyRecipe, TrainRecipe
+from pipeline.settings import EnvironmentParams, ImageParams
+from pipeline.yaml import read_yaml
 
 PATH = Path("params.yaml")
+NAME = re.compile("[a-z0-9_]+")  # of environments, methods, studies: dvc.yaml puts them into commands
+SHARED = ("all", "like")  # keys beside those of the environments
+
+Layer = tuple[str, Any]  # a block of params.yaml and its key
+Layers = list[Layer]
 
 
 @dataclass(frozen=True)
-class Machine:
-    """What the machine offers. Only the page reruns for it; of results, only rounding and draws depend on `device`."""
-
-    workers: int
-    device: Literal["auto", "cpu", "cuda"]
-    save_seconds: float
-    engine: Literal["processes", "ray"]
-    ray_address: str
-    seeds_together: int
-    cuda_graph: bool
-
-    def __post_init__(self) -> None:
-        require_positive(self, "seeds_together")
-        require(self.workers >= 0, f"workers = {self.workers}: must be 0 (one a processor) or more")
-        require(self.save_seconds >= 0, f"save_seconds = {self.save_seconds}: must not be negative")
-        # auto would be decided on each node, and the nodes' results might differ.
-        require(self.engine != "ray" or self.device == "cpu", f"device = {self.device}: engine ray needs cpu")
-
-
-@dataclass(frozen=True)
-class Camera:
-    """How play is recorded where policies see images.
+class CellEntry:
+    """One method in one environment, as params.yaml names it.
 
     Attributes:
-        length: steps of an episode, at most.
-        size: height and width of the frames, pixels.
-    """
-
-    length: int
-    size: int
-
-    def __post_init__(self) -> None:
-        require_positive(self, "length", "size")
-
-
-@dataclass(frozen=True)
-class Collect:
-    """Where play data comes from: scripted demonstrations made here, or published files in a local folder.
-
-    Attributes:
-        to: "play", a play dataset; or "raw", raw play, where policies see images.
-        demonstrations: how many, of `camera.length` steps each where there is a camera.
-        camera: for raw play.
-    """
-
-    to: Literal["play", "raw"]
-    source: Literal["scripted", "published"]
-    demonstrations: int
-    folder: str | None
-    camera: Camera | None = None
-
-    def __post_init__(self) -> None:
-        require((self.to == "raw") == (self.camera is not None), f"camera is missing or out of place: to = {self.to}")
-        require(self.demonstrations >= 2, f"demonstrations = {self.demonstrations}: must be at least 2")
-        require(self.source == "scripted" or bool(self.folder), "folder = null: source published needs a folder")
-
-
-@dataclass(frozen=True)
-class Preprocess:
-    """How raw frames are packed.
-
-    Attributes:
-        size: height and width, pixels.
-        held_out: share of the episodes that the encoder is not trained on; published data with a split keep theirs.
-    """
-
-    size: int
-    held_out: float
-
-    def __post_init__(self) -> None:
-        require_positive(self, "size")
-        require(0 < self.held_out < 1, f"held_out = {self.held_out}: must be between 0 and 1")
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Given weights of an encoder, torchvision's for instance.
-
-    Attributes:
-        path, sha256: a .safetensors or .pth file.
-        mean, std: of red, green and blue in [0, 1], as in its training.
-    """
-
-    path: str
-    sha256: str
-    mean: tuple[float, ...]
-    std: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Features:
-    """The encoder.
-
-    Attributes:
-        width: channels of its first stage, see beso.images.resnet.
-        precision: "fp32", "bf16" for autocast, in training and afterwards, or "auto" for what the device is fast at.
-        weights: if given, nothing is trained before.
-        finetune: every policy trains its own copy on, as in the paper; else it is frozen.
-    """
-
-    width: int
-    precision: Literal["auto", "fp32", "bf16"]
-    weights: Weights | None
-    pretraining: Pretraining
-    finetune: bool
-
-    def __post_init__(self) -> None:
-        check_width(self.width)
-        untrained = self.pretraining.steps == 0 and self.weights is None
-        require(self.finetune or not untrained, "pretraining.steps = 0: must be at least 1 unless finetune is true")
-
-
-@dataclass(frozen=True)
-class ImageParams:
-    """What turns the frames of one environment into features."""
-
-    preprocess: Preprocess
-    features: Features
-
-
-@dataclass(frozen=True)
-class Training:
-    """What all methods share in training.
-
-    Attributes:
-        train_fraction: share of the demonstrations; the rest is held out.
-        goal_horizon: the largest number of steps from a training window to its goal; null is the demonstration's rest.
-        validation: measurements of the held-out loss.
-    """
-
-    train_fraction: float
-    goal_horizon: int | None
-    validation: ValidationConfig
-
-    def __post_init__(self) -> None:
-        require(0 < self.train_fraction < 1, f"train_fraction = {self.train_fraction}: must be between 0 and 1")
-        require_positive(self, "goal_horizon")
-
-
-@dataclass(frozen=True)
-class EnvironmentParams:
-    """What all cells of one environment share.
-
-    Attributes:
-        seeds: one trained model each.
-    """
-
-    seeds: tuple[int, ...]
-    collect: Collect
-    training: Training
-    evaluation: EvaluationConfig
-
-    def __post_init__(self) -> None:
-        require(
-            len(set(self.seeds)) == len(self.seeds) > 0 and min(self.seeds) >= 0,
-            f"seeds = {list(self.seeds)}: must be different numbers from 0 upward, at least one",
-        )
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One method in one environment.
-
-    Attributes:
-        env, method: what `environments` and `methods` name.
-        of: the method's file in beso/methods; a variant names the method that it changes.
+        of: the method's file in beso/methods.
         source: the folder of the play data; or of the models of another cell, its teacher.
+        film: whether its first episode is filmed.
     """
 
     env: str
     method: str
     of: str
     source: str
+    film: bool = False
 
 
 @dataclass(frozen=True)
-class Film:
-    """A trained cell to be filmed."""
-
-    env: str
-    method: str
-    of: str
-
-
-@dataclass(frozen=True)
-class Study:
+class StudyEntry:
     """A trained cell, sampled in several ways from the same starts and with the same noise.
 
     Attributes:
@@ -239,6 +80,28 @@ class Study:
 
 
 @dataclass(frozen=True)
+class MethodEntry:
+    """One method's blocks: by environment, for `all` of them, and the method that it is `like`.
+
+    Attributes:
+        label: the report's name.
+        train, sample: apart, so that a change of sampling never retrains.
+    """
+
+    label: str
+    train: dict[str, Any]
+    sample: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """The blocks that all methods begin with."""
+
+    train: dict[str, Any]
+    sample: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class Latency:
     """How policy calls are timed: medians over `repeats` calls at each batch size."""
 
@@ -254,55 +117,32 @@ class Latency:
 
 
 @dataclass(frozen=True)
-class ForkMethod:
-    """One method's network and sampling on the fork, as under `methods`."""
-
-    model: Any
-    sample: Any
-
-
-@dataclass(frozen=True)
-class Fork:
-    """How long every method trains on the fork (see pipeline.cells.fork), how many actions are drawn, which methods."""
+class ForkEntry:
+    """How long every method trains on the fork (see stages.fork), and how many actions are drawn."""
 
     updates: int
     samples: int
-    methods: dict[str, ForkMethod]
 
     def __post_init__(self) -> None:
         require_positive(self, "updates", "samples")
 
 
 @dataclass(frozen=True)
-class MethodParams:
-    """One method's parameters by environment, split so that a change of sampling never retrains.
-
-    A variant gives only what differs from the method that it changes; `load` fills in the rest.
-
-    Attributes:
-        label: the report's name.
-    """
-
-    label: str
-    train: dict[str, Any]
-    sample: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Params:
-    """The whole of params.yaml."""
+class File:
+    """The top of params.yaml."""
 
     profile: str
     seed: int
-    machine: Machine
-    environments: dict[str, EnvironmentParams]
+    all_environments: dict[str, Any]
+    environments: dict[str, Any]
     images: dict[str, ImageParams]
-    cells: dict[str, Cell]
-    methods: dict[str, MethodParams]
-    studies: dict[str, Study]
-    films: dict[str, Film]
+    cells: dict[str, CellEntry]
+    all_studies: dict[str, Any]
+    studies: dict[str, Any]
     latency: Latency
-    fork: Fork
+    fork: ForkEntry
+    all_methods: Blocks
+    methods: dict[str, MethodEntry]
 
     def __post_init__(self) -> None:
         require(
@@ -311,43 +151,81 @@ class Params:
         )
         require(self.seed >= 0, f"seed = {self.seed}: must not be negative")
         require(len(self.cells) > 0, "cells = {}: at least one is needed")
+        for part in ("environments", "methods", "studies"):
+            for name in getattr(self, part):
+                require(
+                    NAME.fullmatch(name) is not None and name not in SHARED,
+                    f"{part}.{name}: a name must be made of lower-case letters, digits and _, and not be all or like",
+                )
         for name, cell in self.cells.items():
             require(
                 name == f"{cell.env}-{cell.method}",
                 f"cells.{name}: its name must be env and method with a hyphen between, {cell.env}-{cell.method}",
             )
-        known = {name: (cell.env, cell.method, cell.of) for name, cell in self.cells.items()}
-        for name, film in self.films.items():
-            require(
-                known.get(name) == (film.env, film.method, film.of), f"films.{name}: is not among the cells like that"
-            )
-        for name, study in self.studies.items():
-            require(
-                (study.env, study.method, study.of) in known.values(),
-                f"studies.{name}: {study.env}-{study.method} of {study.of} is not among the cells",
-            )
+
+
+@dataclass(frozen=True)
+class Cell(CellPaths):
+    """One method in one environment, with all that shapes it.
+
+    Attributes:
+        of: the method's file in beso/methods.
+        train: what shapes its trained models.
+        evaluate: how they are sampled and evaluated.
+    """
+
+    of: str
+    train: TrainRecipe
+    evaluate: EvaluateRecipe
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study of a cell.
+
+    Attributes:
+        vary: values by parameter of the sampling.
+        recipe: the samplings that these make, and the episodes.
+    """
+
+    cell: Cell
+    vary: dict[str, Any]
+    recipe: StudyRecipe
+
+
+@dataclass(frozen=True)
+class Params:
+    """The whole of params.yaml, resolved.
+
+    Attributes:
+        labels: the methods' names in the report, in the order of params.yaml.
+        fork: None in an archive that does not have it.
+    """
+
+    profile: str
+    seed: int
+    environments: dict[str, EnvironmentParams]
+    images: dict[str, ImageParams]
+    cells: dict[str, Cell]
+    studies: dict[str, Study]
+    labels: dict[str, str]
+    latency: Latency
+    fork: ForkEntry | None
 
     @property
     def envs(self) -> list[str]:
         """The environments that have cells, in the order of the cells."""
         return list(dict.fromkeys(cell.env for cell in self.cells.values()))
 
-    def methods_in(self, env: str) -> list[str]:
-        """The methods of one environment, in the order of the cells."""
-        return [cell.method for cell in self.cells.values() if cell.env == env]
+    def cells_in(self, env: str) -> list[Cell]:
+        """The cells of one environment, in their order."""
+        return [cell for cell in self.cells.values() if cell.env == env]
 
     def environment(self, env: str) -> EnvironmentParams:
         """One environment's block. Raises UserError if params.yaml does not have it."""
         if env not in self.environments:
             raise UserError(f"environment {env!r} is not in {PATH}: {', '.join(self.environments)} are")
         return self.environments[env]
-
-    def image(self, env: str) -> ImageParams:
-        """How one environment's frames become features. Raises UserError if params.yaml does not have it."""
-        self.environment(env)
-        if env not in self.images:
-            raise UserError(f"images.{env} is not in {PATH}: {', '.join(self.images) or 'none'} are")
-        return self.images[env]
 
     def cell(self, env: str, method: str) -> Cell:
         """One cell. Raises UserError if params.yaml does not have it."""
@@ -359,65 +237,6 @@ class Params:
         if name not in self.cells:
             raise UserError(f"{PATH} has no cell {name}: {', '.join(self.cells)} are there")
         return self.cells[name]
-
-    def teacher(self, env: str, method: str) -> str | None:
-        """The method whose trained models one cell learns from; None is the play data. Raises UserError as `cell`."""
-        folder = self.cell(env, method).source
-        return next((name for name in self.methods_in(env) if str(paths.models(env, name)) == folder), None)
-
-    def job(self, env: str, method: str, seed: int) -> TrainingJob:
-        """The training run of one model. Raises UserError as `cell` does."""
-        cell, training = self.cell(env, method), self.environments[env].training
-        return TrainingJob(
-            method=cell.of,
-            config=self.methods[method].train[env],
-            validation=training.validation,
-            train_fraction=training.train_fraction,
-            goal_horizon=training.goal_horizon,
-            root_seed=self.seed,
-            seed=seed,
-        )
-
-    def sampling(self, env: str, method: str, **changes: Any) -> Any:
-        """How one method generates actions in one environment, with some values changed. Raises UserError as `cell`."""
-        self.cell(env, method)
-        sampling = self.methods[method].sample[env]
-        return dataclasses.replace(sampling, **changes) if changes else sampling
-
-    def goals(self, study: str) -> tuple[str, ...]:
-        """The goal sets of one study."""
-        entry = self.studies[study]
-        return entry.goals or self.environments[entry.env].evaluation.goals[:1]
-
-    def samplings(self, study: str) -> list[tuple[dict[str, Any], Any]]:
-        """The samplings of one study: what was changed, and the whole."""
-        if study not in self.studies:
-            raise UserError(f"study {study!r} is not in {PATH}: {', '.join(self.studies) or 'none'} are")
-        entry = self.studies[study]
-        combinations = itertools.product(*entry.vary.values())
-        changes = [dict(zip(entry.vary, values, strict=True)) for values in combinations]
-        return [(change, self.sampling(entry.env, entry.method, **change)) for change in changes]
-
-
-def read_yaml(path: Path) -> Any:
-    """Read a YAML 1.2 file (PyYAML would read 1e-4 as text and `on` as true; DVC does not).
-
-    Raises:
-        UserError: the file is missing or is not YAML.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise UserError(f"{path} is missing") from None
-    return parse_yaml(text, str(path))
-
-
-def parse_yaml(text: str, where: str, yaml: YAML | None = None) -> Any:
-    """Read YAML 1.2, with a given parser if not for plain mappings. Raises UserError if it is none."""
-    try:
-        return (yaml or YAML(typ="safe")).load(text)
-    except YAMLError as error:
-        raise UserError(f"{where} is not valid YAML: {' '.join(str(error).split())}") from None
 
 
 def load(path: Path = PATH) -> Params:
@@ -431,48 +250,62 @@ def load(path: Path = PATH) -> Params:
 
 def parse(values: Any, where: str) -> Params:
     """Check parameters given as plain mappings. Raises UserError as `load` does."""
-    params = build(Params, values, where)
-    for name, environment in params.environments.items():
-        known, goals = envs.spec(name).goal_sets, environment.evaluation.goals
-        if goals != known[: len(goals)]:
-            allowed = " or ".join(str(list(known[:n])) for n in range(1, len(known) + 1))
-            raise UserError(f"{where}.environments.{name}.evaluation: goals = {list(goals)}: must be {allowed}")
-        _single_tasks(name, environment.evaluation.tasks, f"{where}.environments.{name}.evaluation.tasks")
-        images = envs.sees_images(name)
-        if (environment.collect.to == "raw") != images:
-            allowed = "raw: its policies see images" if images else "play: its policies see states"
-            raise UserError(f"{where}.environments.{name}.collect.to = {environment.collect.to!r}: must be {allowed}")
-        if images and name not in params.images:
-            raise UserError(f"{where}.images.{name} is missing: its policies see images")
-        if images:
-            _sizes(environment.collect, params.images[name], f"{where}.images.{name}")
-    for name in params.images:
-        if name not in params.environments:
+    file = build(File, values, where)
+    environments = {
+        name: build_merged(
+            EnvironmentParams,
+            [(f"{where}.all_environments", file.all_environments), (f"{where}.environments.{name}", block)],
+            f"{where}.environments.{name}",
+        )
+        for name, block in file.environments.items()
+    }
+    for name, environment in environments.items():
+        _environment(name, environment, file.images.get(name), f"{where}")
+    for name in file.images:
+        if name not in environments:
             raise UserError(f"{where}.environments.{name} is missing: images.{name} names it")
         if not envs.sees_images(name):
             raise UserError(f"{where}.images.{name}: the policies of this environment see states")
-    for key, cell in params.cells.items():
-        if cell.env not in params.environments:
-            raise UserError(f"{where}.environments.{cell.env} is missing: cells.{key} names it")
-        if cell.method not in params.methods:
-            raise UserError(f"{where}.methods.{cell.method} is missing: cells.{key} names it")
-        for part in ("train", "sample"):
-            if cell.env not in getattr(params.methods[cell.method], part):
-                raise UserError(f"{where}.methods.{cell.method}.{part}.{cell.env} is missing: cells.{key} names it")
-    bases = {cell.method: cell.of for cell in params.cells.values()}
-    checked = {
-        name: _method(params.methods, name, bases.get(name, name), f"{where}.methods") for name in params.methods
+    inheritance = Inheritance(file, f"{where}.methods")
+    cells: dict[str, Cell] = {}
+    for key, entry in file.cells.items():
+        if entry.env not in environments:
+            raise UserError(f"{where}.environments.{entry.env} is missing: cells.{key} names it")
+        cells[key] = _cell(entry, environments[entry.env], inheritance, file, f"{where}.cells.{key}")
+    for key, cell in cells.items():
+        _teacher(cells, cell, file.images, f"{where}.cells.{key}")
+    studies = {
+        name: _study(
+            name,
+            [(f"{where}.all_studies", file.all_studies), (f"{where}.studies.{name}", block)],
+            cells,
+            f"{where}.studies.{name}",
+        )
+        for name, block in file.studies.items()
     }
-    for name, chosen in params.fork.methods.items():
-        module, key = methods.load(name), f"{where}.fork.methods.{name}"
-        sampling = build(module.Sampling, chosen.sample, f"{key}.sample")
-        _fits(build(module.Config, chosen.model, f"{key}.model"), sampling, f"{key}.sample")
-    params = dataclasses.replace(params, methods=checked)
-    for key, cell in params.cells.items():
-        _teacher(params, cell, f"{where}.cells.{key}")
-    for name, study in params.studies.items():
-        _study(params, study, f"{where}.studies.{name}")
-    return params
+    labels = {name: block.label for name, block in file.methods.items()}
+    return Params(file.profile, file.seed, environments, file.images, cells, studies, labels, file.latency, file.fork)
+
+
+def _environment(name: str, block: EnvironmentParams, images: ImageParams | None, where: str) -> None:
+    """An environment's values fit what it is."""
+    here, known, goals = f"{where}.environments.{name}", envs.spec(name).goal_sets, block.evaluation.goals
+    if goals != known[: len(goals)]:
+        allowed = " or ".join(str(list(known[:n])) for n in range(1, len(known) + 1))
+        raise UserError(f"{here}.evaluation: goals = {list(goals)}: must be {allowed}")
+    _single_tasks(name, block.evaluation.tasks, f"{here}.evaluation.tasks")
+    sees_images = envs.sees_images(name)
+    if (block.collect.to == "raw") != sees_images:
+        allowed = "raw: its policies see images" if sees_images else "play: its policies see states"
+        raise UserError(f"{here}.collect.to = {block.collect.to!r}: must be {allowed}")
+    if sees_images and images is None:
+        raise UserError(f"{where}.images.{name} is missing: its policies see images")
+    if images is not None and block.collect.camera is not None:
+        size, recorded = images.preprocess.size, block.collect.camera.size
+        if size > recorded:  # frames can be made smaller, not larger
+            raise UserError(
+                f"{where}.images.{name}.preprocess.size = {size}: must be at most collect.camera.size, {recorded}"
+            )
 
 
 def _single_tasks(env: str, chosen: tuple[str, ...] | None, where: str) -> None:
@@ -488,34 +321,127 @@ def _single_tasks(env: str, chosen: tuple[str, ...] | None, where: str) -> None:
             raise UserError(f"{where} = {task!r}: {why}; allowed are {', '.join(known)}")
 
 
-def _sizes(collect: Collect, images: ImageParams, where: str) -> None:
-    """Frames can be made smaller, not larger."""
-    assert collect.camera is not None
-    size, recorded = images.preprocess.size, collect.camera.size
-    if size > recorded:
-        raise UserError(f"{where}.preprocess.size = {size}: must be at most collect.camera.size, {recorded}")
+class Inheritance:
+    """The methods' blocks, and what a method has in an environment after merging them. See this file's first lines.
+
+    Raises:
+        UserError: a block is of no environment, or `like` names no method or leads in a circle.
+    """
+
+    def __init__(self, file: File, where: str) -> None:
+        self._blocks: Mapping[str, Any] = {"all_methods": file.all_methods, **file.methods}
+        self._where = {name: f"{where}.{name}" for name in file.methods} | {
+            "all_methods": f"{where.removesuffix('methods')}all_methods"
+        }
+        for name, block in self._blocks.items():
+            for part in ("train", "sample"):
+                for column in getattr(block, part):
+                    if column not in (*SHARED, *envs.names()):
+                        allowed = ", ".join((*SHARED, *envs.names()))
+                        raise UserError(f"{self._where[name]}.{part}.{column}: must be one of {allowed}")
+                if name != "all_methods":
+                    self._chain(name, part)
+
+    def _chain(self, method: str, part: str) -> list[str]:
+        """The methods whose blocks are merged, in that order."""
+        chain = [method]
+        while like := getattr(self._blocks[chain[0]], part).get("like"):
+            where = f"{self._where[chain[0]]}.{part}.like = {like!r}"
+            if like not in self._blocks or like == "all_methods":
+                raise UserError(f"{where}: must be one of {', '.join(list(self._blocks)[1:])}")
+            if like in chain:
+                raise UserError(f"{where}: leads in a circle")
+            chain.insert(0, like)
+        return ["all_methods", *chain]
+
+    def layers(self, method: str, part: str, env: str) -> Iterator[Layer]:
+        """The blocks of one method in one environment, the weakest first, with their keys in params.yaml."""
+        for name in self._chain(method, part):
+            for column in ("all", env):
+                block = getattr(self._blocks[name], part).get(column)
+                if block is not None:
+                    yield f"{self._where[name]}.{part}.{column}", block
+
+    def whole(self, cls: Any, method: str, part: str, env: str) -> tuple[Any, Layers]:
+        """A configuration from the merged blocks, and these. Raises UserError as `build_merged`."""
+        layers = list(self.layers(method, part, env))
+        return build_merged(cls, layers, f"{self._where[method]}.{part}.{env}"), layers
 
 
-def _method(blocks: dict[str, MethodParams], name: str, of: str, where: str) -> MethodParams:
-    """One method's block, checked; a variant's is filled up with that of the method it changes."""
-    block, module = blocks[name], methods.load(of)
-    if of != name and of not in blocks:
-        raise UserError(f"{where}.{of} is missing: {name} changes it")
-    train, sample = {}, {}
-    for env in block.train | block.sample:
-        envs.spec(env)
-    for env, values in block.train.items():
-        key = f"{where}.{name}.train.{env}"
-        whole = values if of == name else merge(blocks[of].train.get(env), values, key)
-        config = build(TrainingConfig, whole, key)
-        train[env] = dataclasses.replace(config, model=build(module.Config, config.model, f"{key}.model"))
-    for env, values in block.sample.items():
-        key = f"{where}.{name}.sample.{env}"
-        whole = values if of == name else merge(blocks[of].sample.get(env), values, key)
-        sample[env] = build(module.Sampling, whole, key)
-        if env in train:
-            _fits(train[env].model, sample[env], key)
-    return MethodParams(block.label, train, sample)
+def build_merged(cls: Any, layers: Layers, place: str, inner: tuple[str, Any] | None = None) -> Any:
+    """A configuration from merged blocks.
+
+    Args:
+        layers: the blocks, each with its key in params.yaml.
+        place: the key where the merged values would stand.
+        inner: a key below that, and its values: only these are built.
+
+    Raises:
+        UserError: a mistake, with the key of the block that has it.
+    """
+    values: Any = {}
+    for key, block in layers:
+        if not isinstance(block, dict):
+            raise UserError(f"{key} = {block!r}: expected a mapping")
+        values = merge(values, block)
+    try:
+        return build(cls, inner[1], f"{place}.{inner[0]}") if inner else build(cls, values, place)
+    except UserError as error:
+        raise UserError(_located(str(error), place, layers)) from None
+
+
+def _located(message: str, place: str, layers: Layers) -> str:
+    """A message about a merged value with the key of the block that gives it."""
+    match = re.match(re.escape(place) + r"((?:\.\w+)*)(: (\w+) = )?", message)
+    if match is None:
+        return message
+    path = [*match[1].split(".")[1:], *([match[3]] if match[3] else [])]
+    for key, block in reversed(layers):
+        inner: Any = block
+        for name in path:
+            inner = inner.get(name, layers) if isinstance(inner, dict) else layers
+        if inner is not layers:
+            return key + message[len(place) :]
+    return message
+
+
+def _cell(entry: CellEntry, environment: EnvironmentParams, inheritance: Inheritance, file: File, where: str) -> Cell:
+    """A cell with its recipes."""
+    env, method, top = entry.env, entry.method, where.partition(".cells.")[0]
+    if method not in file.methods:
+        raise UserError(f"{top}.methods.{method} is missing: cells.{env}-{method} names it")
+    if entry.of not in methods.names():
+        raise UserError(f"{where}.of = {entry.of!r}: must be a file in beso/methods: {', '.join(methods.names())}")
+    others = {other.of for other in file.cells.values() if other.method == method}
+    if len(others) > 1:
+        raise UserError(f"{where}.of = {entry.of!r}: {method} is of {', '.join(sorted(others))}; it must be one method")
+    module = methods.load(entry.of)
+    config, layers = inheritance.whole(TrainingConfig, method, "train", env)
+    model = build_merged(module.Config, layers, f"{top}.methods.{method}.train.{env}", ("model", config.model))
+    sampling, _ = inheritance.whole(module.Sampling, method, "sample", env)
+    _fits(model, sampling, f"{top}.methods.{method}.sample.{env}")
+    teacher = None if entry.source == str(paths.play(env)) else Path(entry.source).name
+    training, seeds = environment.training, environment.seeds
+    job = TrainingJob(
+        method=entry.of,
+        config=dataclasses.replace(config, model=model),
+        validation=training.validation,
+        train_fraction=training.train_fraction,
+        goal_horizon=training.goal_horizon,
+        root_seed=file.seed,
+        seed=seeds[0],
+    )
+    train = TrainRecipe(env, method, teacher, seeds, job)
+    evaluate = EvaluateRecipe(env, method, entry.of, environment.seeds, sampling, environment.evaluation, entry.film)
+    folders = [str(paths.play(env)), *(str(c.models) for c in map(_paths, file.cells.values()) if c.env == env)]
+    if entry.source not in folders or entry.source == str(train.models):
+        allowed = ", ".join(folder for folder in folders if folder != str(train.models))
+        raise UserError(f"{where}.source = {entry.source!r}: must be one of {allowed}")
+    return Cell(env, method, entry.of, train, evaluate)
+
+
+def _paths(entry: CellEntry) -> CellPaths:
+    return CellPaths(entry.env, entry.method)
 
 
 def _fits(model: Any, sampling: Any, where: str) -> None:
@@ -525,57 +451,52 @@ def _fits(model: Any, sampling: Any, where: str) -> None:
         raise UserError(f"{where}: {error}") from None
 
 
-def _teacher(params: Params, cell: Cell, where: str) -> None:
-    """A cell learns from what is there and what its method can learn from."""
-    play, others = paths.play(cell.env), [name for name in params.methods_in(cell.env) if name != cell.method]
-    folders = [str(play), *(str(paths.models(cell.env, name)) for name in others)]
-    if cell.source not in folders:
-        raise UserError(f"{where}.source = {cell.source!r}: must be one of {', '.join(folders)}")
-    teacher = params.teacher(cell.env, cell.method)
-    model = params.methods[cell.method].train[cell.env].model
+def _teacher(cells: dict[str, Cell], cell: Cell, images: dict[str, ImageParams], where: str) -> None:
+    """A cell's method can learn from what the cell gives it."""
+    name = cell.train.teacher
+    teacher = cells[f"{cell.env}-{name}"].train.first.config.model if name else None
+    source = f"{where}.source = {str(cell.train.source)!r}"
     try:
-        model.check_teacher(params.methods[teacher].train[cell.env].model if teacher else None)
+        cell.train.first.config.model.check_teacher(teacher)
     except ValueError as error:
-        raise UserError(f"{where}.source = {cell.source!r}: {cell.of}: {error}") from None
-    if teacher and cell.env in params.images and params.images[cell.env].features.finetune:
-        raise UserError(f"{where}.source = {cell.source!r}: images.{cell.env}.features.finetune must be false")
+        raise UserError(f"{source}: {cell.of}: {error}") from None
+    if name and cell.env in images and images[cell.env].features.finetune:
+        raise UserError(f"{source}: images.{cell.env}.features.finetune must be false")
 
 
-def _study(params: Params, study: Study, where: str) -> None:
-    """Every sampling of a study must be one that its cell could have, and its episodes among the evaluation's."""
-    evaluation = params.environments[study.env].evaluation
-    if study.rollouts > evaluation.rollouts:
-        raise UserError(f"{where}.rollouts = {study.rollouts}: must be at most the evaluation's, {evaluation.rollouts}")
-    goals = study.goals
-    if goals is not None and not (len(set(goals)) == len(goals) > 0 and {*goals} <= {*evaluation.goals}):
+def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> Study:
+    """A study whose samplings its cell could have, and whose episodes are among the evaluation's."""
+    entry = build_merged(StudyEntry, layers, where)
+    cell = cells.get(f"{entry.env}-{entry.method}")
+    if cell is None or cell.of != entry.of:
+        raise UserError(f"{where}: {entry.env}-{entry.method} of {entry.of} is not among the cells")
+    evaluation, goals = cell.evaluate.evaluation, entry.goals or cell.evaluate.evaluation.goals[:1]
+    if entry.rollouts > evaluation.rollouts:
+        raise UserError(f"{where}.rollouts = {entry.rollouts}: must be at most the evaluation's, {evaluation.rollouts}")
+    if entry.goals is not None and not (len(set(goals)) == len(entry.goals) > 0 and {*goals} <= {*evaluation.goals}):
         allowed = ", ".join(evaluation.goals)
-        raise UserError(f"{where}.goals = {list(goals)}: must be different ones of the evaluation's, {allowed}")
-    whole = dataclasses.asdict(params.sampling(study.env, study.method))
-    for combination in itertools.product(*study.vary.values()):
-        changed = {**whole, **dict(zip(study.vary, combination, strict=True))}
-        sampling = build(methods.load(study.of).Sampling, changed, where)
-        _fits(params.methods[study.method].train[study.env].model, sampling, where)
+        raise UserError(f"{where}.goals = {list(entry.goals)}: must be different ones of the evaluation's, {allowed}")
+    whole, changes, samplings = dataclasses.asdict(cell.evaluate.sampling), [], []
+    for combination in itertools.product(*entry.vary.values()):
+        changes.append(dict(zip(entry.vary, combination, strict=True)))
+        samplings.append(build(methods.load(entry.of).Sampling, {**whole, **changes[-1]}, where))
+        _fits(cell.train.first.config.model, samplings[-1], where)
+    evaluation = dataclasses.replace(evaluation, goals=goals, rollouts=entry.rollouts)
+    recipe = StudyRecipe(
+        entry.env, entry.method, name, entry.of, cell.evaluate.seeds, tuple(changes), tuple(samplings), evaluation
+    )
+    return Study(cell, entry.vary, recipe)
 
 
-def merge(base: Any, changes: Any, where: str) -> dict[str, Any]:
-    """Nested mappings with some leaves changed.
-
-    Raises:
-        UserError: a key of `changes` is not one of `base`.
-    """
+def merge(base: Any, changes: Any) -> dict[str, Any]:
+    """Nested mappings, those of `changes` over those of `base`; null in place of a mapping drops it."""
     merged = dict(base or {})
     for key, value in (changes or {}).items():
-        if key not in merged:
-            raise UserError(f"{where}.{key} = {value!r}: unknown key; allowed are {', '.join(merged) or 'none'}")
-        merged[key] = merge(merged[key], value, f"{where}.{key}") if isinstance(merged[key], dict) else value
+        if isinstance(merged.get(key), dict) and (value is None or isinstance(value, dict)):
+            if value is None:
+                del merged[key]
+            else:
+                merged[key] = merge(merged[key], value)
+        else:
+            merged[key] = value
     return merged
-
-
-if __name__ == "__main__":
-    from pipeline.stage import run
-
-    def main() -> None:
-        params = load()
-        print(f"{PATH}: profile {params.profile}, {len(params.cells)} cells, {len(params.studies)} studies, valid")
-
-    run(main)

@@ -36,33 +36,3 @@ def samples(environment: str) -> Path:
 def probe(environment: str) -> Path:
     """What the features of an environment's frames tell of its state."""
     return Path("results/probe") / f"{environment}.csv"
-
-
-def models(environment: str, method: str) -> Path:
-    """Trained models of one cell."""
-    return Path("models") / environment / method
-
-
-def curve(environment: str, method: str) -> Path:
-    """Training curves of one cell."""
-    return Path("curves") / environment / f"{method}.csv"
-
-
-def episodes(environment: str, method: str) -> Path:
-    """Evaluation of one cell, a row an episode."""
-    return Path("results") / environment / f"{method}.csv"
-
-
-def scenes(environment: str, method: str) -> Path:
-    """Start, goal and end of some episodes of one cell, (episodes, 3, ...); see pipeline.cells.evaluation."""
-    return Path("results/scenes") / environment / f"{method}.npy"
-
-
-def study(name: str) -> Path:
-    """Evaluation of one study, a row an episode and sampling."""
-    return Path("results/studies") / f"{name}.csv"
-
-
-def film(environment: str, method: str) -> Path:
-    """A folder with the film of one cell, `rollout.webm`, and the filmed episode's row, `rollout.json`."""
-    return Path("films") / environment / method

@@ -1,34 +1,44 @@
-"""`python -m pipeline.profile NAME` writes params.yaml from profiles/paper/ and what profiles/NAME/ changes.
+"""A profile is a folder of `profiles/`: what params.yaml holds, in `common.yaml` and a file for each environment.
 
-A profile is a folder of files: common.yaml, and one a room (environment). The complete profile's files are joined,
-common.yaml first; in those of another profile, `null` for a whole cell, method, study or environment leaves it out.
-Comments are kept, and every leaf that changes in params.yaml is printed.
+Profile `paper` is complete. Any other gives what it changes in the profile that it `extends`; without a word, in paper.
+null in place of a mapping takes it out: a cell, a study, a method. What a profile says of all environments, of all
+studies, or of a method in `all` environments replaces what the profiles before it said of each.
 """
 
 import functools
-import io
+import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
-
-from ruamel.yaml import YAML
+from typing import Any, NamedTuple
 
 from beso.errors import UserError
 from beso.files import write_text
 from pipeline import params
 from pipeline.params import Params
-from pipeline.stage import run
+from pipeline.yaml import parse_yaml, read_yaml
 
 FOLDER = Path("profiles")
 COMPLETE = "paper"
 FIRST = "common.yaml"
+WIDTH = 100  # of a list on one line
+GENERAL = {"all_environments": "environments", "all_studies": "studies"}
+KEY = re.compile(r"(?P<indent> *)(?P<key>[^\s#:-][^\s#:]*):(?: (?P<value>[^#]*?))??(?:\s*# (?P<note>.*))?")
+
+Key = tuple[str, ...]
+
+
+class Comment(NamedTuple):
+    """The lines above a key, and the comment at the end of its own line."""
+
+    above: str
+    note: str
 
 
 def render(name: str) -> str:
-    """The text of params.yaml for one profile.
+    """The text of params.yaml for one profile, with comments, and the paper's value beside each that differs.
 
     Raises:
-        UserError: no such profile, it changes a key that the complete profile lacks, or its values do not check.
+        UserError: no such profile, or its values do not check.
     """
     return _read(name)[0]
 
@@ -39,32 +49,22 @@ def load(name: str) -> Params:
     return _read(name)[1]
 
 
-def _read(name: str) -> tuple[str, Params]:
-    available = sorted(path.name for path in FOLDER.iterdir() if path.is_dir())
-    if name not in available:
-        raise UserError(f"profile {name!r} is not one of {', '.join(available)}")
-    yaml = YAML()
-    yaml.width = 120
-    values: Any = None
-    for path in _files(COMPLETE):
-        part = params.parse_yaml(path.read_text(encoding="utf-8"), str(path), yaml)
-        _require_mapping(part, str(path))
-        if values is None:
-            values = part
-        else:
-            _join(values, part, str(path))
-    for key, value in values.items():
-        if value is None:  # no room has anything there
-            values[key] = {}
-    if name != COMPLETE:
-        for path in _files(name):
-            changes = params.read_yaml(path) or {}
-            _require_mapping(changes, str(path))
-            _change(values, changes, str(path))
-    text = io.StringIO()
-    yaml.dump(values, text)
-    checked = params.parse(YAML(typ="safe").load(text.getvalue()), f"profile {name}")
-    return text.getvalue(), checked
+def names() -> list[str]:
+    """All profiles."""
+    return sorted(path.name for path in FOLDER.iterdir() if path.is_dir())
+
+
+def write(name: str) -> list[str]:
+    """Write params.yaml for one profile; a line for each leaf that changes. Raises UserError as `render` does."""
+    text = render(name)
+    try:
+        before = dict(leaves(read_yaml(params.PATH)))
+    except UserError:  # there is none yet, or it is what the user wants to replace
+        before = {}
+    write_text(params.PATH, text)
+    after, missing = dict(leaves(read_yaml(params.PATH))), "(none)"
+    keys = [key for key in sorted(before.keys() | after.keys()) if before.get(key, missing) != after.get(key, missing)]
+    return [f"{key}: {before.get(key, missing)} -> {after.get(key, missing)}" for key in keys]
 
 
 def leaves(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
@@ -76,64 +76,124 @@ def leaves(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         yield key, values
 
 
-def _files(name: str) -> list[Path]:
-    return sorted((FOLDER / name).glob("*.yaml"), key=lambda path: (path.name != FIRST, path.name))
+def _read(name: str) -> tuple[str, Params]:
+    values, comments = _merged(name, ())
+    text = "\n".join(_lines(values, comments)).strip() + "\n"
+    return text, params.parse(parse_yaml(text, f"profile {name}"), f"profile {name}")
 
 
-def _require_mapping(part: Any, where: str) -> None:
-    if not isinstance(part, dict):
-        raise UserError(f"{where}: must be a mapping, such as `environments:` with what belongs to it below")
+def _merged(name: str, extending: tuple[str, ...]) -> tuple[dict[str, Any], dict[Key, Comment]]:
+    """A profile's values, on those that it extends, and the comments of all."""
+    if name not in names():
+        raise UserError(f"profile {name!r} is not one of {', '.join(names())}")
+    if name in extending:
+        raise UserError(f"profile {name} extends itself: {' -> '.join([*extending, name])}")
+    files = sorted((FOLDER / name).glob("*.yaml"), key=lambda path: (path.name != FIRST, path.name))
+    texts = {path: path.read_text(encoding="utf-8") for path in files}
+    parts = {path: parse_yaml(text, str(path)) for path, text in texts.items()}
+    for path, part in parts.items():
+        if not isinstance(part, dict):
+            raise UserError(f"{path}: must be a mapping, such as `environments:` with what belongs to it below")
+    if name == COMPLETE:
+        values: dict[str, Any] = {}
+        comments = {key: comment for text in reversed(texts.values()) for key, comment in _comments(text).items()}
+        for path, part in parts.items():
+            _join(values, part, str(path))
+        return values, comments
+    base = next((part.pop("extends") for part in parts.values() if "extends" in part), COMPLETE)
+    values, comments = _merged(base, (*extending, name))
+    for part in parts.values():
+        _change(values, part, values, comments, ())
+    return values, comments
 
 
-def _join(values: Any, part: Any, where: str) -> None:
-    """Add the keys of another file, with their comments; mappings that both have are joined."""
+def _join(values: dict[str, Any], part: dict[str, Any], where: str) -> None:
+    """Add the keys of another file; mappings that both have are joined."""
     for key, value in part.items():
-        if values.get(key) is None:
-            values[key] = value
-            if key in part.ca.items and key not in values.ca.items:
-                values.ca.items[key] = part.ca.items[key]
-        elif isinstance(value, dict) and isinstance(values[key], dict):
+        if isinstance(values.get(key), dict) and isinstance(value, dict):
             _join(values[key], value, f"{where}.{key}")
-        else:
+        elif key in values:
             raise UserError(f"{where}: {key} is given twice")
-
-
-def _change(values: Any, changes: Any, where: str) -> None:
-    for key, value in changes.items():
-        if key not in values:
-            raise UserError(f"{where}: {key} is not a key of profiles/{COMPLETE} there")
-        if value is None and isinstance(values[key], dict):
-            del values[key]
-        elif isinstance(value, dict) and isinstance(values[key], dict):
-            _change(values[key], value, f"{where}.{key}")
         else:
-            if key != "profile":
-                _note(values, key)
             values[key] = value
 
 
-def _note(values: Any, key: str) -> None:
-    """Put the complete profile's value into the comment of a leaf that changes."""
-    comment = values.ca.items.get(key)
-    existing, _, following = comment[2].value.partition("\n") if comment and comment[2] else ("", "", "")
-    old = "null" if values[key] is None else values[key]
-    note = f"{old} in profile {COMPLETE}" + existing.replace("#", ";", 1)
-    values.yaml_add_eol_comment(note, key)
-    values.ca.items[key][2].value += "\n" + following
+def _change(inner: dict[str, Any], changes: dict[str, Any], values: dict[str, Any], notes: Any, path: Key) -> None:
+    """Apply a profile's changes to one mapping of all values."""
+    for name, value in changes.items():
+        key = (*path, name)
+        if value is None and isinstance(inner.get(name), dict):
+            del inner[name]
+        elif isinstance(value, dict):
+            _change(inner.setdefault(name, {}), value, values, notes, key)
+        else:
+            for special in _special(values, key):
+                _remove(values, special)
+            if name in inner and key != ("profile",):
+                above, note = notes.get(key, Comment("", ""))
+                paper = note if f" in profile {COMPLETE}" in note else f"{_text(inner[name])} in profile {COMPLETE}"
+                notes[key] = Comment(above, paper if paper == note or not note else f"{paper}; {note}")
+            inner[name] = value
 
 
-def main(name: str) -> None:
-    text = render(name)
-    try:
-        before = dict(leaves(params.read_yaml(params.PATH)))
-    except UserError:  # there is none yet, or it is what the user wants to replace
-        before = {}
-    write_text(params.PATH, text)
-    after = dict(leaves(params.read_yaml(params.PATH)))
-    for key in sorted(before.keys() | after.keys()):
-        if before.get(key) != after.get(key):
-            print(f"{key}: {before.get(key)} -> {after.get(key)}")
+def _special(values: dict[str, Any], key: Key) -> list[Key]:
+    """The keys for single environments or studies that a key for all of them replaces."""
+    if key[0] in GENERAL:
+        return [(GENERAL[key[0]], name, *key[1:]) for name in values[GENERAL[key[0]]]]
+    if key[0] == "methods" and key[3:4] == ("all",):
+        return [(*key[:3], name, *key[4:]) for name in values["methods"][key[1]][key[2]] if name not in ("all", "like")]
+    return []
 
 
-if __name__ == "__main__":
-    run(main, "profile")
+def _remove(values: Any, key: Key) -> None:
+    """Delete a leaf, and the mappings that it leaves empty."""
+    name, *rest = key
+    if isinstance(values, dict) and name in values:
+        if rest:
+            _remove(values[name], tuple(rest))
+        if not rest or values[name] == {}:
+            del values[name]
+
+
+def _comments(text: str) -> dict[Key, Comment]:
+    """The comments of a file by key."""
+    found: dict[Key, Comment] = {}
+    path: Key = ()
+    above: list[str] = []
+    for line in text.splitlines():
+        if not line.strip() or line.lstrip().startswith("#"):
+            above.append(line.strip())
+        elif match := KEY.fullmatch(line):
+            path = (*path[: len(match["indent"]) // 2], match["key"])
+            found[path] = Comment("\n".join(above), match["note"] or "")
+            above = []
+    return found
+
+
+def _lines(values: dict[str, Any], comments: dict[Key, Comment], path: Key = ()) -> Iterator[str]:
+    """YAML of nested mappings."""
+    indent = "  " * len(path)
+    for name, value in values.items():
+        key = (*path, name)
+        above, note = comments.get(key, Comment("", ""))
+        yield from (f"{indent}{line}".rstrip() for line in above.split("\n") if above)
+        end = f" # {note}" if note else ""
+        if isinstance(value, dict) and value and path != ("cells",):
+            yield f"{indent}{name}:{end}"
+            yield from _lines(value, comments, key)
+        elif isinstance(value, list) and len(_text(value)) > WIDTH:
+            yield f"{indent}{name}:{end}"
+            yield from (f"{indent}- {_text(item)}" for item in value)
+        else:
+            yield f"{indent}{name}: {_text(value)}{end}"
+
+
+def _text(value: Any) -> str:
+    """A value on one line, as YAML."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name}: {_text(item)}" for name, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_text, value)) + "]"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return str(value)

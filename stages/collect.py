@@ -1,13 +1,68 @@
-"""Raw play data of one environment."""
+"""Play data of one environment: scripted demonstrations, or published files from a local folder.
 
-from pipeline.cells.collect import collect
-from pipeline.params import load
-from pipeline.stage import run
+Where policies see states, it becomes a play dataset at once; where they see images, it stays raw play, frames and all,
+for the stages `preprocess` and `features`.
+"""
+
+import dataclasses
+import importlib.metadata
+import math
+import shutil
+from pathlib import Path
+
+from beso import envs
+from beso.data import play
+from pipeline import paths, recipes, scratch
+from pipeline.engine import map_jobs
+from pipeline.machine import Machine
+from pipeline.pool import available_workers
+from pipeline.recipes import EnvironmentRecipe
+from pipeline.settings import Collect
 
 
-def main(environment: str) -> None:
-    collect(load(), environment)
+def main(env: str) -> None:
+    collect(recipes.read_environment(Collect, "collect", env), Machine.load())
 
 
-if __name__ == "__main__":
-    run(main, "environment")
+def collect(recipe: EnvironmentRecipe, machine: Machine) -> None:
+    """Make or import the play of one environment and write it."""
+    {"play": collect_play, "raw": collect_raw}[recipe.settings.to](recipe, machine)
+
+
+def collect_play(recipe: EnvironmentRecipe, machine: Machine) -> None:
+    """Write a play dataset."""
+    settings, spec = recipe.settings, envs.spec(recipe.env)
+    if settings.source == "published":
+        dataset = envs.importer(recipe.env)(Path(settings.folder or ""))
+    else:
+        jobs = [(recipe.seed, i) for i in range(settings.demonstrations)]
+        episodes = list(map_jobs(envs.recorder(recipe.env), jobs, machine, f"collect {recipe.env}"))
+        versions = {name: importlib.metadata.version(name) for name in spec.packages}
+        meta = {"source": "scripted", "seed": recipe.seed, "versions": versions}
+        if failed := sum(episode.failed_takes for episode in episodes):
+            meta["failed_takes"] = failed
+        dataset = play.assemble(episodes, spec, meta)
+    play.save(dataset, paths.play(recipe.env))
+    print(f"{len(dataset)} demonstrations, {dataset.lengths.mean():.1f} steps on average")
+
+
+def collect_raw(recipe: EnvironmentRecipe, machine: Machine) -> None:
+    """Write raw play. Recorded episodes wait in the scratch folder until all are there."""
+    settings, room = recipe.settings, envs.recording(recipe.env)
+    assert settings.camera is not None  # checked with the parameters
+    size, length, target = settings.camera.size, settings.camera.length, paths.raw(recipe.env)
+    if settings.source == "published":
+        workers = machine.workers or available_workers()
+        room.convert(Path(settings.folder or ""), target, size, workers)
+        return
+    waiting = scratch.folder("collect", recipe.env, dataclasses.asdict(settings), recipe.seed)
+    parts: list[Path] = []
+    steps, wanted = 0, settings.demonstrations * length
+    while steps < wanted:  # an episode may end early; then there are more of them
+        new = range(len(parts), len(parts) + math.ceil((wanted - steps) / length))
+        jobs = [(recipe.seed, i, length, size, waiting / f"episode{i}") for i in new]
+        steps += sum(map_jobs(room.record, jobs, machine, f"collect {recipe.env}"))
+        parts += [job[-1] for job in jobs]
+    room.join(parts, target, recipe.seed)
+    shutil.rmtree(waiting)
+    print(f"{len(parts)} episodes, {steps} steps")

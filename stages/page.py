@@ -7,7 +7,6 @@ from pipeline import paths
 from pipeline.params import load
 from pipeline.report import page, tables
 from pipeline.report.gather import gather
-from pipeline.stage import run
 
 
 def main() -> None:
@@ -15,7 +14,3 @@ def main() -> None:
     values, latency = gather(params), pd.read_csv(paths.LATENCY)
     write_text(paths.REPORTS / "latency.tex", tables.render("latency.tex.j2", {**values, "latency": latency}))
     write_text(paths.REPORTS / "report.html", page.render(params, values, latency))
-
-
-if __name__ == "__main__":
-    run(main)

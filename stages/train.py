@@ -1,13 +1,109 @@
-"""Train every seed of one (environment, method) cell."""
+"""Training of one cell: its seeds side by side in worker processes, each resumable."""
 
-from pipeline.cells.training import train_cell
-from pipeline.params import load
-from pipeline.stage import run
+from __future__ import annotations
+
+import dataclasses
+import math
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from beso import checkpoint, envs
+from beso.data import play
+from beso.device import pick_device
+from beso.errors import UserError
+from beso.files import replacing, sha256, write_text
+from beso.training import Training, side_by_side
+from beso.training_config import TrainingJob
+from pipeline import recipes, scratch
+from pipeline.engine import map_jobs
+from pipeline.machine import Machine
+from pipeline.recipes import TrainRecipe
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+STATE = "state.safetensors"
 
 
-def main(environment: str, method: str) -> None:
-    train_cell(load(), environment, method)
+def main(env: str, method: str) -> None:
+    train_cell(recipes.read_train(env, method), Machine.load())
 
 
-if __name__ == "__main__":
-    run(main, "environment", "method")
+def train_cell(recipe: TrainRecipe, machine: Machine) -> None:
+    """Train every seed of one cell and write its models and curves.
+
+    Finished seeds and the state of unfinished ones wait in the scratch folder until all are done.
+    """
+    jobs = recipe.jobs
+    digest = play.data_digest(play.load(recipe.play, envs.spec(recipe.env)))
+    folders = [scratch.folder(*identity(recipe, job, digest, pick_device(machine.device).type)) for job in jobs]
+    groups = [slice(i, i + machine.seeds_together) for i in range(0, len(jobs), machine.seeds_together)]
+    arguments = [(recipe, jobs[group], machine, folders[group]) for group in groups]
+    for _ in map_jobs(train_seeds, arguments, machine, f"train {recipe.env} {recipe.method}"):
+        pass
+
+    with replacing(recipe.models) as models:
+        models.mkdir()
+        for finished in folders:
+            for path in finished.glob("seed*"):
+                shutil.copyfile(path, models / path.name)
+    write_text(recipe.curve, _curves(recipe.models, jobs).to_csv())
+    for finished in folders:
+        shutil.rmtree(finished)
+
+
+def identity(recipe: TrainRecipe, job: TrainingJob, data_digest: str, device: str) -> list[Any]:
+    """What a trained model of one cell depends on besides code and torch (see pipeline.scratch).
+
+    Raises:
+        UserError: its teacher is missing, or of other play data.
+    """
+    parts = ["train", recipe.env, dataclasses.asdict(job), data_digest, device]
+    if recipe.teacher is None:
+        return parts
+    if checkpoint.load_description(recipe.source, job.seed)["data"] != data_digest:
+        raise UserError(f"{recipe.source}, the teacher, was trained on other play data; train it again")
+    return [*parts, sha256(checkpoint.paths(recipe.source, job.seed)[0])]
+
+
+def _curves(models: Path, jobs: list[TrainingJob]) -> pd.DataFrame:
+    """By step: means over seeds, as `dvc plots` draws them, and each seed's held-out loss."""
+    import pandas as pd  # a machine that only trains may lack it
+
+    seeds = {job.seed: pd.DataFrame(checkpoint.load_description(models, job.seed)["curve"]) for job in jobs}
+    table = pd.concat(seeds.values()).groupby("step").mean()
+    for seed, curve in seeds.items():
+        table[f"validation_loss_seed{seed}"] = curve.set_index("step")["validation_loss"]
+    return table
+
+
+def train_seeds(
+    recipe: TrainRecipe, jobs: list[TrainingJob], machine: Machine, folders: list[Path], until: float = math.inf
+) -> bool:
+    """Train some models of one cell in turns, each into its folder, unless they are there already.
+
+    Args:
+        until: when (of time.monotonic) the state of unfinished ones is saved and they are left.
+
+    Returns:
+        Whether all are there.
+    """
+    waiting = [
+        (job, folder)
+        for job, folder in zip(jobs, folders, strict=True)
+        if not checkpoint.paths(folder, job.seed)[1].exists()
+    ]
+    if not waiting:
+        return True
+    spec, device = envs.spec(recipe.env), pick_device(machine.device)
+    dataset, teacher = play.load(recipe.play, spec), recipe.source if recipe.teacher else None
+    unfinished = {
+        Training(job, dataset, spec, device, folder / STATE, recipe.play, teacher, machine.cuda_graph): (job, folder)
+        for job, folder in waiting
+    }
+    for training in side_by_side(list(unfinished), machine.save_seconds, until):
+        job, folder = unfinished.pop(training)
+        checkpoint.save(folder, job, spec.sizes, training.result(), play.data_digest(dataset))
+        (folder / STATE).unlink(missing_ok=True)
+    return not unfinished

@@ -19,8 +19,8 @@ import pandas as pd
 
 from beso import envs
 from beso.errors import UserError
-from pipeline import paths
 from pipeline.params import Params
+from pipeline.recipes import CellPaths, StudyRecipe
 from pipeline.report.statistics import NORMAL, PAIRS, Estimate, of_difference, of_normal, over_seeds
 
 PAPER = Path(__file__).with_name("paper.csv")
@@ -62,14 +62,14 @@ def read_rows(path: Path, stage: str) -> pd.DataFrame:
     return pd.read_csv(path, dtype={"tasks": str, "goal_tasks": str})
 
 
-def read_episodes(root: Path, environment: str, method: str) -> pd.DataFrame:
+def read_episodes(root: Path, cell: CellPaths) -> pd.DataFrame:
     """The evaluation rows of one cell in a run's folder. Raises UserError as `read_rows` does."""
-    return read_rows(root / paths.episodes(environment, method), f"evaluate@{environment}-{method}")
+    return read_rows(root / cell.episodes, f"evaluate@{cell.name}")
 
 
-def read_study(root: Path, name: str) -> pd.DataFrame:
+def read_study(root: Path, study: StudyRecipe) -> pd.DataFrame:
     """The rows of one study in a run's folder. Raises UserError as `read_rows` does."""
-    return read_rows(root / paths.study(name), f"study@{name}")
+    return read_rows(root / study.rows, f"study@{study.study}")
 
 
 def rows_of(rows: pd.DataFrame, changes: dict[str, Any]) -> pd.DataFrame:
@@ -104,7 +104,7 @@ def compare(params: Params, sources: dict[str, str], root: Path = Path()) -> pd.
     """
     cells = _cells(params, root)
     named = dict(places()[["label", "name"]].itertuples(index=False))
-    known = {name: read_study(root, name) for name in params.studies}
+    known = {name: read_study(root, study.recipe) for name, study in params.studies.items()}
     rows, beside = [], set()
     for number in paper_numbers().itertuples():
         key = (number.environment, number.metric, number.method, number.goals)
@@ -141,7 +141,7 @@ def _cells(params: Params, root: Path) -> dict[Key, Measured]:
     """Every number of the run's cells, in the order of a table."""
     found: dict[Key, Measured] = {}
     for environment in params.envs:
-        played = {method: read_episodes(root, environment, method) for method in params.methods_in(environment)}
+        played = {cell.method: read_episodes(root, cell) for cell in params.cells_in(environment)}
         for metric in envs.report(environment).METRICS:
             for method, episodes in played.items():
                 for goals in params.environments[environment].evaluation.goals:
@@ -154,10 +154,14 @@ def _of_study(params: Params, known: dict[str, pd.DataFrame], name: str, number:
     """What a study of this run says of one of the paper's numbers; None if it has no such study or sampling."""
     study = params.studies.get(name)
     wanted = {key: values.split("|") for key, values in (pair.split("=") for pair in number.values.split())}
-    if study is None or (study.env, study.of) != (number.environment, number.method) or {*study.vary} != {*wanted}:
+    if (
+        study is None
+        or (study.cell.env, study.cell.of) != (number.environment, number.method)
+        or {*study.vary} != {*wanted}
+    ):
         return None
-    metric = next((m for m in envs.report(study.env).METRICS if m.name == number.metric), None)
-    samplings = [changes for changes, _ in params.samplings(name) if _among(changes, wanted)]
+    metric = next((m for m in envs.report(study.cell.env).METRICS if m.name == number.metric), None)
+    samplings = [changes for changes in study.recipe.changes if _among(changes, wanted)]
     if metric is None or len(samplings) < math.prod(map(len, wanted.values())):
         return None
     rows = known[name][known[name]["goals"] == number.goals]

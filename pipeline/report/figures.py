@@ -98,9 +98,9 @@ def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
     for table in values["studies"]:
         caption = f"{table.title}; bars are 95 % intervals, diamonds the paper's numbers where it has them."
         yield Drawing(f"study_{table.name}", caption, study(table, comparison))
-    if params.fork.methods:
+    if params.fork:
         caption = "The fork, a toy: one state with two right actions, and the actions each method draws from it."
-        yield Drawing("fork", caption, fork_samples(params, names, pd.read_csv(root / paths.FORK)))
+        yield Drawing("fork", caption, fork_samples(names, pd.read_csv(root / paths.FORK)))
 
 
 def overview(comparison: pd.DataFrame, names: Names) -> Figure:
@@ -190,7 +190,7 @@ def _papers(numbers: pd.DataFrame, column: studies.Column, changes: dict[str, An
 
 def scores(params: Params, comparison: pd.DataFrame, names: Names, environment: str) -> Figure:
     """Bars of every metric by method, ours beside the paper's; lines are standard deviations over seeds."""
-    metrics, methods = envs.report(environment).METRICS, params.methods_in(environment)
+    metrics, methods = envs.report(environment).METRICS, [cell.method for cell in params.cells_in(environment)]
     comparison = of_cells(comparison)
     goal_sets = params.environments[environment].evaluation.goals
     figure = Figure(figsize=(7, 2.7), layout="constrained")
@@ -234,18 +234,18 @@ def goals(params: Params, names: Names, environment: str, episodes: Episodes, ro
         episodes: rows of evaluation by the methods' labels.
     """
     settings = params.environments[environment]
-    methods = [cell.method for cell in params.films.values() if cell.env == environment]
-    if not methods or not settings.evaluation.tasks:
+    filmed = [cell for cell in params.cells_in(environment) if cell.evaluate.film]
+    if not filmed or not settings.evaluation.tasks:
         return None
     seed, goal_set, metric = settings.seeds[0], settings.evaluation.goals[0], envs.report(environment).METRICS[0]
-    labels = [names.methods[method] for method in methods]
+    labels = [names.methods[cell.method] for cell in filmed]
     wanted = {"seed": seed, "goals": goal_set}
     played = {label: rows_of(episodes[label], wanted).set_index("episode") for label in labels}
-    scenes = [read_npy(root / paths.scenes(environment, method)) for method in methods]  # each (episodes, 3, H, W, 3)
+    scenes = [read_npy(root / cell.scenes) for cell in filmed]  # each (episodes, 3, H, W, 3)
     count = len(scenes[0])
-    figure = Figure(figsize=(7, 0.3 + (6.1 / (2 + len(methods)) + 0.17) * count))
+    figure = Figure(figsize=(7, 0.3 + (6.1 / (2 + len(filmed)) + 0.17) * count))
     figure.set_layout_engine("constrained", w_pad=0.02, h_pad=0.01, wspace=0, hspace=0)
-    grid = figure.subplots(count, 2 + len(methods), squeeze=False)
+    grid = figure.subplots(count, 2 + len(filmed), squeeze=False)
     for axis, title in zip(grid[0], ("start", "goal", *labels), strict=True):
         axis.set_title(title)
     for axis in grid.flat:
@@ -297,9 +297,9 @@ def probe(table: pd.DataFrame) -> Figure:
     return figure
 
 
-def fork_samples(params: Params, names: Names, table: pd.DataFrame) -> Figure:
+def fork_samples(names: Names, table: pd.DataFrame) -> Figure:
     """Actions of the demonstrations and of every method on the fork, a panel each."""
-    shown = ["data", *params.fork.methods]
+    shown = table["method"].unique()
     figure, grid = panels(len(shown), 0.4, 1.1)
     for axis, method in zip(grid, shown, strict=False):
         part = table[table["method"] == method]
@@ -316,10 +316,10 @@ def training_curves(params: Params, names: Names, environment: str, root: Path) 
     """Held-out loss over its first measurement against the share of the training, a line a seed."""
     figure = Figure(figsize=(4.7, 2.4), layout="constrained")
     axis = figure.subplots()
-    for method, colour in zip(params.methods_in(environment), itertools.cycle(METHOD_COLOURS)):
-        curves = pd.read_csv(root / paths.curve(environment, method))
-        for i, seed in enumerate(params.environments[environment].seeds):
-            label, losses = names.methods[method] if i == 0 else None, curves[f"validation_loss_seed{seed}"]
+    for cell, colour in zip(params.cells_in(environment), itertools.cycle(METHOD_COLOURS)):
+        curves = pd.read_csv(root / cell.curve)
+        for i, seed in enumerate(cell.train.seeds):
+            label, losses = names.methods[cell.method] if i == 0 else None, curves[f"validation_loss_seed{seed}"]
             share = curves["step"] / curves["step"].iloc[-1]
             axis.plot(share, losses / losses.iloc[0], color=colour, linewidth=1, label=label)
     axis.set(xlabel="share of the training", ylabel="held-out loss,\nover the first measured")

@@ -32,8 +32,8 @@ def gather(params: Params, root: Path = Path()) -> dict[str, Any]:
     sources = {name: source(of["source"]) for name, of in summaries.items()}
     comparison, names = compare(params, sources, root), Names(params)
     episodes = {
-        environment: {names.methods[m]: read_episodes(root, environment, m) for m in params.methods_in(environment)}
-        for environment in params.envs
+        env: {names.methods[cell.method]: read_episodes(root, cell) for cell in params.cells_in(env)}
+        for env in params.envs
     }
     return {
         "root": root,

@@ -5,7 +5,7 @@ from collections import Counter
 from typing import Any
 
 from pipeline import profile
-from pipeline.params import Params
+from pipeline.params import Cell, Params
 from pipeline.report.names import Names
 
 
@@ -14,8 +14,8 @@ def tables(params: Params) -> list[dict[str, Any]]:
     paper, names = profile.load(profile.COMPLETE), Names(params)
     found = []
     for key, cell in params.cells.items():
-        ours = _values(params, cell.env, cell.method)
-        theirs = _values(paper, cell.env, cell.method) if key in paper.cells else dict.fromkeys(ours, "--")
+        ours = _values(cell)
+        theirs = _values(paper.cells[key]) if key in paper.cells else dict.fromkeys(ours, "--")
         title = f"{names.methods[cell.method]}, {names.environments[cell.env]}"
         found.append({"title": title, "rows": [(name, ours[name], theirs[name]) for name in ours]})
     return found
@@ -35,9 +35,9 @@ def shares_of_training(params: Params) -> list[dict[str, Any]]:
     found = []
     for environment in params.envs:
         shares = {
-            names.methods[method]: _samples(params, environment, method) / _samples(paper, environment, method)
-            for method in params.methods_in(environment)
-            if f"{environment}-{method}" in paper.cells
+            names.methods[cell.method]: _samples(cell) / _samples(paper.cells[cell.name])
+            for cell in params.cells_in(environment)
+            if cell.name in paper.cells
         }
         found.append({"environment": names.environments[environment], "shares": shares})
     return found
@@ -50,18 +50,17 @@ def trains_less(params: Params) -> bool:
     )
 
 
-def _samples(params: Params, environment: str, method: str) -> int:
-    optimization = params.methods[method].train[environment].optimization
+def _samples(cell: Cell) -> int:
+    optimization = cell.train.first.config.optimization
     return optimization.steps * optimization.batch_size
 
 
-def _values(params: Params, environment: str, method: str) -> dict[str, str]:
+def _values(cell: Cell) -> dict[str, str]:
     """A cell's values by name: the innermost key, with the part before it in sampling and where two parts have it."""
-    training = params.methods[method].train[environment]
     parts = {
-        "model": dataclasses.asdict(training.model),
-        "optimization": dataclasses.asdict(training.optimization),
-        "sampling": dataclasses.asdict(params.sampling(environment, method)),
+        "model": dataclasses.asdict(cell.train.first.config.model),
+        "optimization": dataclasses.asdict(cell.train.first.config.optimization),
+        "sampling": dataclasses.asdict(cell.evaluate.sampling),
     }
     found = [
         (part, key.split(".")[-1], value) for part, of in parts.items() for key, value in profile.leaves(of) if key

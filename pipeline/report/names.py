@@ -3,7 +3,8 @@
 from typing import Any
 
 from beso import envs
-from pipeline.params import Params, Study
+from pipeline.params import Params
+from pipeline.recipes import CellPaths
 
 # Samplers and schedules as the paper's tables have them.
 VALUES = {
@@ -32,7 +33,7 @@ class Names:
     def __init__(self, params: Params) -> None:
         self._reports = {name: envs.report(name) for name in params.envs}
         self.environments = {name: report.LABEL for name, report in self._reports.items()}
-        self.methods = {name: block.label for name, block in params.methods.items()}
+        self.methods = params.labels
 
     def environment(self, environment: str) -> str:
         """An environment's label, or its name in words where this run does not have it."""
@@ -51,10 +52,10 @@ class Names:
         """A goal set's label."""
         return self._reports[environment].GOAL_LABELS[goals]
 
-    def study(self, name: str, study: Study) -> str:
+    def study(self, name: str, cell: CellPaths) -> str:
         """What a study is of, from its name, less the environment's, and its cell."""
-        what = words(name.removesuffix(f"_{study.env}"))
-        return f"{what}: {self.method(study.method)} in {self.environment(study.env)}"
+        what = words(name.removesuffix(f"_{cell.env}"))
+        return f"{what}: {self.method(cell.method)} in {self.environment(cell.env)}"
 
 
 def words(name: str) -> str:

@@ -15,7 +15,7 @@ import pandas as pd
 from beso import envs
 from beso.files import read_json
 from pipeline import paths
-from pipeline.params import PATH, Film, Params
+from pipeline.params import PATH, Cell, Params
 from pipeline.report import hyperparameters
 from pipeline.report.comparison import VERDICTS, paper_numbers
 from pipeline.report.figures import CAPTIONS
@@ -75,7 +75,7 @@ def render(params: Params, values: dict[str, Any], latency: pd.DataFrame) -> str
 
     Args:
         values: from pipeline.report.gather.gather.
-        latency: from pipeline.cells.latency.measure.
+        latency: from stages.latency.measure.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
@@ -132,7 +132,7 @@ def variant_sizes(params: Params, names: Names, latency: pd.DataFrame) -> list[s
     """In words, the parameters of each variant whose network has not as many as that of the method that it changes.
 
     Args:
-        latency: from pipeline.cells.latency.measure, which counts them at the paper's size.
+        latency: from stages.latency.measure, which counts them at the paper's size.
     """
     counts = {(row.environment, row.method): row.parameters for row in latency.itertuples()}
     found = []
@@ -160,8 +160,9 @@ def _figure(name: str, caption: str, path: Path) -> Picture:
 def _films(params: Params, names: Names, room: float) -> list[Picture]:
     """The films. Where not all fit into so many bytes, those of every environment's first methods are left out."""
     films: dict[str, Picture] = {}
-    for key, cell in sorted(params.films.items(), key=lambda film: _behind(params, film[1])):
-        path = paths.film(cell.env, cell.method) / "rollout.webm"
+    chosen = [cell for cell in params.cells.values() if cell.evaluate.film]
+    for cell in sorted(chosen, key=lambda cell: _behind(chosen, cell)):
+        key, path = cell.name, cell.film_folder / "rollout.webm"
         row, metric = read_json(path.with_suffix(".json")), envs.report(cell.env).METRICS[-1]
         title = f"{names.methods[cell.method]} in {names.environments[cell.env]}"
         if "no_film" in row:
@@ -177,12 +178,12 @@ def _films(params: Params, names: Names, room: float) -> list[Picture]:
         else:
             room -= len(data)
             films[key] = Picture(key, caption, data)
-    return [films[key] for key in params.films]
+    return [films[cell.name] for cell in chosen]
 
 
-def _behind(params: Params, film: Film) -> int:
+def _behind(chosen: list[Cell], film: Cell) -> int:
     """How many films of the same environment come after this one."""
-    same = [other.method for other in params.films.values() if other.env == film.env]
+    same = [other.method for other in chosen if other.env == film.env]
     return len(same) - 1 - same.index(film.method)
 
 

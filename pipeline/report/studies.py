@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from beso import envs
 from beso.envs.protocol import Metric
-from pipeline.params import Params
+from pipeline.params import Cell, Params
 from pipeline.report.comparison import read_episodes, read_study, rows_of, verdict
 from pipeline.report.names import Names, value, words
 from pipeline.report.statistics import Estimate, difference, over_seeds
@@ -58,13 +58,14 @@ def tables(params: Params, root: Path = Path()) -> list[Table]:
     """One table for each study in a run's folder."""
     found, names = [], Names(params)
     for name, study in params.studies.items():
-        episodes = read_study(root, name)
+        episodes = read_study(root, study.recipe)
+        env, sets = study.cell.env, study.recipe.evaluation.goals
         columns = [
-            Column(_label(metric, goals, study.env, params.goals(name), names), metric, goals)
-            for goals in params.goals(name)
-            for metric in envs.report(study.env).METRICS
+            Column(_label(metric, goals, env, sets, names), metric, goals)
+            for goals in sets
+            for metric in envs.report(env).METRICS
         ]
-        parts = [(changes, rows_of(episodes, changes)) for changes, _ in params.samplings(name)]
+        parts = [(changes, rows_of(episodes, changes)) for changes in study.recipe.changes]
         rows = [
             Row(
                 changes,
@@ -76,28 +77,34 @@ def tables(params: Params, root: Path = Path()) -> list[Table]:
         ]
         varied = [words(key) for key in study.vary]
         shared = "models, starts and noise"
-        found.append(Table(name, names.study(name, study), shared, study.env, varied, columns, rows))
+        found.append(Table(name, names.study(name, study.cell), shared, env, varied, columns, rows))
     return found
 
 
 def students(params: Params, root: Path = Path()) -> list[Table]:
     """One table for each teacher: itself, then the policies that learned from it, over the first goal set."""
-    names, taught = Names(params), dict[tuple[str, str], list[str]]()
+    names, taught = Names(params), dict[str, list[Cell]]()
     for cell in params.cells.values():
-        teacher = params.teacher(cell.env, cell.method)
-        if teacher in params.methods_in(cell.env):  # an archive may lack it
-            taught.setdefault((cell.env, teacher), [teacher]).append(cell.method)
+        teacher = params.cells.get(f"{cell.env}-{cell.train.teacher}")
+        if teacher:  # an archive may lack it
+            taught.setdefault(teacher.name, [teacher]).append(cell)
     found = []
-    for (environment, teacher), policies in taught.items():
-        goals = params.environments[environment].evaluation.goals[0]
+    for teacher, *_ in taught.values():
+        environment, policies = teacher.env, taught[teacher.name]
+        goals = teacher.evaluate.evaluation.goals[0]
         columns = [Column(metric.label, metric, goals) for metric in envs.report(environment).METRICS]
-        parts = [read_episodes(root, environment, policy) for policy in policies]
+        parts = [read_episodes(root, policy) for policy in policies]
         rows = [
-            Row({"policy": policy}, [names.method(policy)], None, [_score(part, parts[0], c) for c in columns])
+            Row(
+                {"policy": policy.method},
+                [names.method(policy.method)],
+                None,
+                [_score(part, parts[0], c) for c in columns],
+            )
             for policy, part in zip(policies, parts, strict=True)
         ]
-        title = f"{names.method(teacher)} and its students in {names.environment(environment)}"
-        name = f"students_{environment}_{teacher}"
+        title = f"{names.method(teacher.method)} and its students in {names.environment(environment)}"
+        name = f"students_{environment}_{teacher.method}"
         found.append(Table(name, title, "starts and noise", environment, ["Policy"], columns, rows))
     return found
 

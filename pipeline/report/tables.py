@@ -36,7 +36,7 @@ def render(template: str, values: dict[str, Any]) -> str:
 def main_methods(params: Params) -> list[str]:
     """Columns of the main table: the methods of all environments, without variants, in the parameters' order."""
     run = {cell.method for cell in params.cells.values() if cell.method == cell.of}
-    return [method for method in params.methods if method in run]
+    return [method for method in params.labels if method in run]
 
 
 def main_rows(params: Params, comparison: pd.DataFrame, names: Names) -> list[dict[str, Any]]:

@@ -1,5 +1,6 @@
 import copy
 import dataclasses
+import json
 import math
 import shutil
 from pathlib import Path
@@ -9,9 +10,11 @@ from ruamel.yaml import YAML
 
 from beso import envs
 from beso.errors import UserError
-from pipeline import params, profile
+from beso.files import write_json
+from pipeline import params, profile, recipes, settings, yaml
+from stages import resolve
 
-PROFILES = sorted(path.name for path in profile.FOLDER.iterdir())
+PROFILES = profile.names()
 
 
 @pytest.fixture(scope="module")
@@ -34,14 +37,15 @@ def test_committed_params_are_the_quick_profile():
 
 
 def test_profiles_keep_the_comments_and_name_the_papers_values():
-    assert "96  # 240 in profile paper; [T] hidden dimension" in profile.render("cpu")
+    assert "every: 1000 # 2000 in profile paper; steps" in profile.render("cpu")
 
 
 def test_paper_profile_has_the_papers_numbers():
     paper = profile.load("paper")
     assert len(paper.environments["block_push"].seeds) == 10
     assert paper.environments["block_push"].evaluation.rollouts == 100
-    train = paper.methods["c_beso"].train["block_push"]
+    cell = paper.cell("block_push", "c_beso")
+    train = cell.train.first.config
     assert dataclasses.astuple(train.model.transformer) == (240, 4, 12, 5, 0.05, 0.05, "sequential")
     assert (train.model.diffusion.sigma_min, train.model.diffusion.sigma_max, train.model.diffusion.sigma_data) == (
         0.05,
@@ -50,9 +54,10 @@ def test_paper_profile_has_the_papers_numbers():
     )
     assert (train.optimization.steps, train.optimization.batch_size) == (60_000, 1024)
     assert (train.optimization.optimizer, train.optimization.learning_rate) == ("adam", 1e-4)
-    assert paper.sampling("block_push", "c_beso").steps == 3
-    assert paper.sampling("block_push", "cfg_beso").guidance_scale == 2
-    assert paper.methods["cfg_beso"].train["block_push"].model.goal_dropout == 0.1
+    assert cell.evaluate.sampling.steps == 3
+    guided = paper.cell("block_push", "cfg_beso")
+    assert guided.evaluate.sampling.guidance_scale == 2
+    assert guided.train.first.config.model.goal_dropout == 0.1
 
 
 IDDPM = {
@@ -64,13 +69,14 @@ IDDPM = {
     "context": "clean",
     "context_length": None,
 }
+ALL = ("all_environments",)
 BLOCK_PUSH = ("environments", "block_push")
 TASKS = ("environments", "calvin", "evaluation", "tasks")
-MODEL = ("methods", "c_beso", "train", "block_push", "model", "transformer")
-SAMPLE = ("methods", "c_beso", "sample", "block_push")
+MODEL = ("methods", "c_beso", "train", "all", "model", "transformer")
+SAMPLE = ("methods", "c_beso", "sample", "all")
 STUDENT = ("cells", "block_push-c_beso_one_step")
 DISTILLED = ("methods", "distilled", "train", "block_push", "model")
-OPTIMIZATION = ("methods", "gcbc", "train", "block_push", "optimization")
+OPTIMIZATION = ("methods", "gcbc", "train", "all", "optimization")
 
 
 CAMERA = {"length": 100, "size": 64}
@@ -96,12 +102,8 @@ IMAGES = {
 }
 
 
-def film(env, method, of=None):
-    return {"env": env, "method": method, "of": of or method}
-
-
 def cell(env, method, of=None, source=None):
-    return {**film(env, method, of), "source": source or f"data/play/{env}"}
+    return {"env": env, "method": method, "of": of or method, "source": source or f"data/play/{env}"}
 
 
 @pytest.mark.parametrize(
@@ -114,7 +116,7 @@ def cell(env, method, of=None, source=None):
         ((*OPTIMIZATION, "learning_rate"), "1e-3", r"learning_rate = '1e-3': expected a finite number"),
         ((*OPTIMIZATION, "optimizer"), "sgd", r"optimizer = 'sgd': expected one of adam, adamw, muon"),
         ((*OPTIMIZATION, "steps"), True, r"steps = True: expected an integer"),
-        ((*BLOCK_PUSH, "evaluation", "rollouts"), 0, r"evaluation: rollouts = 0: must be at least 1"),
+        ((*ALL, "evaluation", "rollouts"), 0, r"\.all_environments\.evaluation: rollouts = 0: must be at least 1"),
         ((*BLOCK_PUSH, "seeds"), [1, 1], r"seeds = \[1, 1\]: must be different"),
         (("cells", "block_push-sac"), cell("block_push", "sac"), r"methods\.sac is missing: cells\.block_push-sac"),
         (("cells", "moon-gcbc"), cell("moon", "gcbc"), r"environments\.moon is missing: cells\.moon-gcbc"),
@@ -133,18 +135,37 @@ def cell(env, method, of=None, source=None):
         ((*STUDENT, "source"), "models/block_push/c_beso_film", r"distilled: the teacher's transformer is .*'film'"),
         ((*STUDENT, "source"), "data/play/block_push", r"source = 'data/play/block_push': distilled: needs a teach"),
         (("cells", "block_push-gcbc", "source"), "models/block_push/c_beso", r"gcbc: learns from play data, not fr"),
-        ((*DISTILLED, "transformer", "width"), 32, r"one_step\.source = .*: distilled: the teacher's transformer"),
+        ((*DISTILLED, "transformer"), {"width": 32}, r"one_step\.source = .*: distilled: the teacher's transformer"),
         ((*DISTILLED, "steps"), 4, r"block_push\.model: teacher_steps = 3: must be at least steps = 4"),
-        (("environments", "moon"), {}, r"environments\.moon\.seeds is missing"),
-        (("films", "block_push-gcbc"), film("block_push", "ril"), r"films\.block_push-gcbc: is not among the cells"),
+        (("environments", "moon"), {}, r"environments\.moon\.collect\.to is missing"),
+        (("cells", "block_push-gcbc", "film"), "yes", r"block_push-gcbc\.film = 'yes': expected true or false"),
+        (
+            ("cells", "block_push-gcbc", "of"),
+            "../../os",
+            r"gcbc\.of = '\.\./\.\./os': must be a file in beso/m",
+        ),
+        (
+            ("methods", "x;touch y;#"),
+            {"label": "x", "train": {}, "sample": {}},
+            r"methods\.x;touch y;#: a name must",
+        ),
+        (("studies", "<b>x"), {}, r"studies\.<b>x: a name must be made of lower-case letters, digits and _"),
+        (("environments", "../../evil"), {}, r"environments\.\.\./\.\./evil: a name must be made of lower-case"),
+        (
+            ("methods", "cfg_beso", "train", "like"),
+            "c_besp",
+            r"cfg_beso\.train\.like = 'c_besp': must be one of gc",
+        ),
+        (("methods", "c_beso", "train", "like"), "cfg_beso", r"train\.like = '.*beso': leads in a circle"),
+        (
+            ("methods", "c_beso", "train", "kitchn"),
+            {},
+            r"methods\.c_beso\.train\.kitchn: must be one of all, like",
+        ),
+        (("methods", "c_beso", "train", "kitchen"), 7, r"methods\.c_beso\.train\.kitchen = 7: expected a mapping"),
         (("studies", "samplers_block_push", "vary"), {}, r"vary = {}: must name at least one parameter"),
         (("studies", "samplers_block_push", "vary"), {"sampler": "x"}, r"vary\.sampler = 'x': must be a list"),
         (("studies", "samplers_block_push", "vary"), {"steps": [3, 5, 3]}, r"vary\.steps = .*: must be .* different"),
-        (
-            ("fork", "methods", "cx_diff", "sample", "steps"),
-            9999,
-            r"fork\.methods\.cx_diff\.sample: steps = 9999: must",
-        ),
         (("latency", "batches"), [], r"latency: batches = \[\]: must be positive, at least one"),
         (("latency", "batches"), [1, 0], r"latency: batches = \[1, 0\]: must be positive"),
         (("studies", "samplers_block_push", "vary"), {"speed": [1]}, r"samplers_block_push\.speed = 1: unknown"),
@@ -158,7 +179,7 @@ def cell(env, method, of=None, source=None):
         (("studies", "samplers_block_push", "goals"), [], r"samplers_block_push\.goals = \[\]: must be different"),
         (("studies", "samplers_block_push", "rollouts"), 3, r"rollouts = 3: must be at most the evaluation's, 2"),
         (("studies", "samplers_block_push", "method"), "gcbd", r"block_push-gcbd of c_beso is not"),
-        ((*BLOCK_PUSH, "training", "goal_horizon"), 0, r"goal_horizon = 0: must be at least 1"),
+        ((*ALL, "training", "goal_horizon"), 0, r"goal_horizon = 0: must be at least 1"),
         ((*BLOCK_PUSH, "collect", "source"), "published", r"folder = null: source published needs a folder"),
         ((*BLOCK_PUSH, "collect", "to"), "raw", r"collect: camera is missing or out of place: to = raw"),
         ((*BLOCK_PUSH, "collect", "camera"), CAMERA, r"collect: camera is missing or out of place: to = play"),
@@ -167,11 +188,11 @@ def cell(env, method, of=None, source=None):
         (("images", "moon"), IMAGES, r"environments\.moon is missing: images\.moon names it"),
         (("colour",), "red", r"colour = 'red': unknown key"),
         (("profile",), "../x", r"profile = '\.\./x': must be made of"),
-        ((*BLOCK_PUSH, "evaluation", "goals"), ["held_out"], r"goals = \['held_out'\]: must be \['training'\] or"),
+        ((*ALL, "evaluation", "goals"), ["held_out"], r"goals = \['held_out'\]: must be \['training'\] or"),
         (("cells",), {}, r"cells = {}: at least one is needed"),
         (
-            (*BLOCK_PUSH, "evaluation", "tasks"),
-            ["push"],
+            (*BLOCK_PUSH, "evaluation"),
+            {"tasks": ["push"]},
             r"block_push\.evaluation\.tasks = .*: must be left out",
         ),
         (TASKS, None, r"calvin\.evaluation\.tasks is missing: expected a list of tasks, of rotate_red_block_right, "),
@@ -196,7 +217,7 @@ def cell(env, method, of=None, source=None):
             r"cx_diff\.sample\.block_push: steps = 99: must be at most diffusion_steps, 20",
         ),
         (
-            ("methods", "cfg_beso_element", "train", "block_push", "model", "goal_dropout_from"),
+            ("methods", "cfg_beso_element", "train", "all", "model", "goal_dropout_from"),
             0.5,
             r"goal_dropout_from = 0\.5: must be 0 where goal_dropout_of is element",
         ),
@@ -244,11 +265,10 @@ def room(values):
     ],
 )
 def test_mistakes_about_images(values, room, monkeypatch, path, value, message):
-    monkeypatch.setattr(envs, "names", lambda: ["block_push", room])
     spec = envs.spec
     monkeypatch.setattr(envs, "spec", lambda name: spec("block_push"))
     monkeypatch.setattr(envs, "single_tasks", lambda name: ())
-    assert params.parse(values, "params.yaml").image(room).preprocess.size == 64
+    assert params.parse(values, "params.yaml").images[room].preprocess.size == 64
     inner = values["images"] = copy.deepcopy(values["images"])
     *parents, last = (room, *path)
     for key in parents:
@@ -264,53 +284,55 @@ def test_mistakes_about_images(values, room, monkeypatch, path, value, message):
         params.parse(values, "params.yaml")
 
 
-def test_every_key_is_needed(values):
-    """Every mapping of the smoke profile, less all but one environment, is refused when one of its keys is gone.
-
-    The one has images and no variants, which need not give every key. Of cells, films, studies, what these vary, their
-    goal sets, and methods on the fork there may be fewer.
-    """
-    kept = "calvin"
-    values["environments"] = {kept: values["environments"][kept]}
-    for part in ("cells", "films", "studies"):
-        values[part] = {name: entry for name, entry in values[part].items() if entry["env"] == kept}
-    values["methods"] = {name: block for name, block in values["methods"].items() if kept in block["train"]}
-    for block in values["methods"].values():
-        for part in ("train", "sample"):
-            block[part] = {kept: block[part][kept]}
+def test_every_key_is_needed(values, tmp_path, monkeypatch):
+    """Nothing has a silent default: a recipe, with all that is inherited, is refused when one of its keys is gone."""
+    for key in values:
+        with pytest.raises(UserError, match=rf"{key} is missing"):
+            params.parse({name: value for name, value in values.items() if name != key}, "params.yaml")
+    monkeypatch.setattr(recipes, "FOLDER", tmp_path)
 
     def paths(inner, path=()):
         for key, value in inner.items():
             yield (*path, key)
-            if isinstance(value, dict):
+            if isinstance(value, dict) and path[-1:] != ("methods",):
                 yield from paths(value, (*path, key))
 
-    optional = {("cells", 2), ("films", 2), ("studies", 2), ("studies", 4), ("fork", 3)}
-    for path in paths(values):
-        if (path[0], len(path)) in optional or (path[0], path[-1]) == ("studies", "goals"):
+    read = {"train": recipes.read_train, "evaluate": recipes.read_evaluate, "study": recipes.read_study}
+    read |= {"collect": lambda env: recipes.read_environment(settings.Collect, "collect", env)}
+    read |= {"features": lambda env: recipes.read_environment(settings.Features, "features", env)}
+    optional = {("evaluation", "tasks"), ("settings", "camera")}
+    for name, recipe in resolve.recipes(params.parse(values, "params.yaml")):
+        kind, *parts = name.split("/")
+        if kind not in read or "kitchen" in name:
             continue
-        broken = copy.deepcopy(values)
-        inner = broken
-        for key in path[:-1]:
-            inner = inner[key]
-        del inner[path[-1]]
-        with pytest.raises(UserError, match="is missing"):
-            params.parse(broken, "params.yaml")
+        whole, file = dataclasses.asdict(recipe), tmp_path / f"{name}.json"
+        for path in paths(whole):
+            broken = copy.deepcopy(whole)
+            inner = broken
+            for key in path[:-1]:
+                inner = inner[key]
+            del inner[path[-1]]
+            write_json(file, broken)
+            if path not in optional and path != ("first", "config", "model", "final_goals"):
+                with pytest.raises(UserError, match="is missing"):
+                    read[kind](*parts)
+        write_json(file, whole)
+        assert json.loads(json.dumps(dataclasses.asdict(read[kind](*parts)))) == json.loads(json.dumps(whole))
 
 
 def test_numbers_are_read_as_dvc_reads_them(tmp_path):
     file = tmp_path / "params.yaml"
     file.write_text("rate: 1e-4\nswitch: on\n")
-    assert params.read_yaml(file) == {"rate": 1e-4, "switch": "on"}
+    assert yaml.read_yaml(file) == {"rate": 1e-4, "switch": "on"}
 
 
 def test_unreadable_files_are_one_line(tmp_path):
     file = tmp_path / "params.yaml"
     with pytest.raises(UserError, match="is missing"):
-        params.read_yaml(file)
+        yaml.read_yaml(file)
     file.write_text("a: [1,\nb: 2")
     with pytest.raises(UserError, match="is not valid YAML") as error:
-        params.read_yaml(file)
+        yaml.read_yaml(file)
     assert "\n" not in str(error.value)
 
 

@@ -1,10 +1,12 @@
 """How often one action calls the network."""
 
+from dataclasses import replace
+
 import pytest
 
 from beso import envs
 from pipeline import profile
-from pipeline.cells.study import network_calls
+from stages.study import network_calls
 
 
 @pytest.fixture(scope="module")
@@ -27,5 +29,6 @@ def smoke():
     ],
 )
 def test_calls_are_counted(smoke, method, changes, calls):
-    model, sampling = smoke.methods[method].train["block_push"].model, smoke.sampling("block_push", method, **changes)
+    cell = smoke.cell("block_push", method)
+    model, sampling = cell.train.first.config.model, replace(cell.evaluate.sampling, **changes)
     assert network_calls(method, model, sampling, envs.spec("block_push").sizes) == calls

@@ -17,12 +17,14 @@ from beso.images import encoder, frames
 from beso.images.pretraining import Pretraining
 from beso.images.resnet import ResNet18
 from beso.seeding import torch_generator
-from pipeline import params as parameters
-from pipeline import paths, profile
-from pipeline.cells.collect import collect
-from pipeline.cells.features import make_features
-from pipeline.cells.preprocess import preprocess
+from pipeline import paths
+from pipeline import settings as parameters
+from pipeline.machine import Machine
+from pipeline.recipes import EnvironmentRecipe
 from pipeline.report import figures
+from stages import features
+from stages.collect import collect
+from stages.preprocess import main, preprocess
 
 PRETRAINING = Pretraining(
     steps=4,
@@ -38,29 +40,37 @@ IMAGES = parameters.ImageParams(
     parameters.Preprocess(size=32, held_out=0.25), parameters.Features(8, "fp32", None, PRETRAINING, finetune=False)
 )
 COLLECT = parameters.Collect("raw", "scripted", 4, None, parameters.Camera(length=12, size=40))
-CHANGES = {"collect": COLLECT, "images": IMAGES, "workers": 1}
 
 
-@pytest.fixture(scope="module")
-def smoke():
-    return profile.load("smoke")
-
-
-@pytest.fixture
-def make(smoke, tmp_path, monkeypatch):
-    """Parameters with some values changed, in an empty folder as working directory."""
+@pytest.fixture(autouse=True)
+def empty(tmp_path, monkeypatch):
+    """An empty folder as working directory."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(envs, "names", lambda: ["block_push", "calvin"])
 
-    def params(**changes):
-        values = {**CHANGES, **changes}
-        environment = dataclasses.replace(smoke.environments["block_push"], collect=values["collect"])
-        machine = dataclasses.replace(smoke.machine, workers=values["workers"], device="cpu")
-        return dataclasses.replace(
-            smoke, machine=machine, environments={"calvin": environment}, images={"calvin": values["images"]}
-        )
 
-    return params
+def recipe(settings):
+    return EnvironmentRecipe("calvin", 0, settings)
+
+
+def machine(workers):
+    return Machine(workers=workers, device="cpu")
+
+
+def make_raw(settings=COLLECT, workers=1):
+    collect(recipe(settings), machine(workers))
+
+
+def pack(images=IMAGES):
+    preprocess(recipe(images.preprocess))
+
+
+def make_features(images=IMAGES, workers=1):
+    features.make_features(recipe(images.features), machine(workers))
+
+
+def run(images=IMAGES):
+    pack(images)
+    make_features(images)
 
 
 @pytest.fixture(scope="module")
@@ -84,13 +94,13 @@ def contents(folder):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_raw_play_is_the_same_for_any_number_of_workers(make, recorded, workers):
-    collect(make(workers=workers), "calvin")
+def test_raw_play_is_the_same_for_any_number_of_workers(recorded, workers):
+    make_raw(workers=workers)
     assert contents(paths.raw("calvin")) == contents(recorded)
     assert raw.load(paths.raw("calvin")).meta["seed"] == 0
 
 
-def test_more_episodes_are_recorded_where_some_end_early(make, monkeypatch):
+def test_more_episodes_are_recorded_where_some_end_early(monkeypatch):
     asked, record = [], recording.record
 
     def short(seed, index, length, size, folder):
@@ -98,12 +108,12 @@ def test_more_episodes_are_recorded_where_some_end_early(make, monkeypatch):
         return record(seed, index, 7 if index == 1 else length, size, folder)
 
     monkeypatch.setattr(recording, "record", short)
-    collect(make(), "calvin")
+    make_raw()
     assert asked == [0, 1, 2, 3, 4]
     assert raw.load(paths.raw("calvin")).episode_ends.tolist() == [12, 19, 31, 43, 55]
 
 
-def test_an_interrupted_recording_keeps_its_whole_episodes(make, recorded, monkeypatch):
+def test_an_interrupted_recording_keeps_its_whole_episodes(recorded, monkeypatch):
     record, played = recording.scripted.record, []
 
     def interrupted(seed, index, length, size):
@@ -114,34 +124,29 @@ def test_an_interrupted_recording_keeps_its_whole_episodes(make, recorded, monke
 
     monkeypatch.setattr(recording.scripted, "record", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        collect(make(), "calvin")
-    collect(make(), "calvin")
+        make_raw()
+    make_raw()
     assert played == [0, 1, 2, 2, 3]
     assert contents(paths.raw("calvin")) == contents(recorded)
     assert list(paths.SCRATCH.iterdir()) == []
 
 
-def test_published_data_keep_their_split(make, recorded, tmp_path):
+def test_published_data_keep_their_split(recorded, tmp_path):
     for name in ("training", "validation"):
         official.export(raw.load(recorded), tmp_path / "published" / name)
     published = dataclasses.replace(COLLECT, source="published", folder=str(tmp_path / "published"))
-    collect(make(collect=published), "calvin")
-    preprocess(make(), "calvin")
+    make_raw(published)
+    pack()
     packed = frames.load(paths.frames("calvin"))
     assert packed.meta["held_out_episodes"] == [4, 5, 6, 7]
     assert np.array_equal(packed.frames.read(np.arange(48)), packed.frames.read(np.arange(48, 96)))
     with pytest.raises(UserError, match=r"nowhere/training/ep_start_end_ids.npy is missing"):
-        collect(make(collect=dataclasses.replace(published, folder="nowhere")), "calvin")
+        make_raw(dataclasses.replace(published, folder="nowhere"))
 
 
-def run(params):
-    preprocess(params, "calvin")
-    make_features(params, "calvin")
-
-
-def test_features_are_what_the_encoder_beside_them_makes_of_the_frames(make, recorded, capsys):
+def test_features_are_what_the_encoder_beside_them_makes_of_the_frames(recorded, capsys):
     give_raw(recorded)
-    run(make())
+    run()
     folder = paths.play("calvin")
     packed, source = frames.load(paths.frames("calvin")), raw.load(recorded)
     features = play.read_npy(folder / "observations.npy")
@@ -159,12 +164,12 @@ def test_features_are_what_the_encoder_beside_them_makes_of_the_frames(make, rec
     assert list(paths.SCRATCH.iterdir()) == []
 
 
-def test_the_same_bytes_with_other_workers_and_after_a_kill(make, recorded, monkeypatch):
+def test_the_same_bytes_with_other_workers_and_after_a_kill(recorded, monkeypatch):
     give_raw(recorded)
-    monkeypatch.setattr("pipeline.cells.features.SHARE", 10)
-    run(make())
+    monkeypatch.setattr("stages.features.SHARE", 10)
+    run()
     first, table = contents(paths.play("calvin")), paths.probe("calvin").read_bytes()
-    make_features(make(workers=2), "calvin")
+    make_features(workers=2)
     assert contents(paths.play("calvin")) == first
     assert paths.probe("calvin").read_bytes() == table
 
@@ -172,19 +177,19 @@ def test_the_same_bytes_with_other_workers_and_after_a_kill(make, recorded, monk
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.cells.features.encode_all", killed)
+        patch.setattr("stages.features.encode_all", killed)
         with pytest.raises(KeyboardInterrupt):
-            make_features(make(), "calvin")
+            make_features()
         assert contents(paths.play("calvin")) == first  # as it was
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.cells.features.pretrain", killed)  # the encoder is there already
-        make_features(make(), "calvin")
+        patch.setattr("stages.features.pretrain", killed)  # the encoder is there already
+        make_features()
     assert contents(paths.play("calvin")) == first
 
 
-def test_the_probe_compares_with_random_weights_and_the_state_itself(make, recorded):
+def test_the_probe_compares_with_random_weights_and_the_state_itself(recorded):
     give_raw(recorded)
-    run(make())
+    run()
     table = pd.read_csv(paths.probe("calvin"))
     assert set(table["representation"]) == {"features", "random encoder", "state"}
     assert set(table["target"]) >= {"drawer", "slider", "led", "lightbulb", "block_red", "hand"}
@@ -211,9 +216,9 @@ def given(tmp_path, **changes):
     return dataclasses.replace(IMAGES, features=dataclasses.replace(IMAGES.features, weights=weights))
 
 
-def test_given_weights_are_used_as_they_are(make, recorded, tmp_path):
+def test_given_weights_are_used_as_they_are(recorded, tmp_path):
     give_raw(recorded)
-    run(make(images=given(tmp_path)))
+    run(given(tmp_path))
     made = encoder.load(paths.play("calvin"), torch.device("cpu"))
     expected = ResNet18(8, torch.Generator().manual_seed(5)).state_dict()
     assert all(torch.equal(value, expected[name]) for name, value in made.network.state_dict().items())
@@ -227,11 +232,11 @@ def finetuned(steps=PRETRAINING.steps, images=IMAGES):
     )
 
 
-def test_policies_that_train_the_encoder_get_the_frames_and_its_start(make, recorded, capsys):
+def test_policies_that_train_the_encoder_get_the_frames_and_its_start(recorded, capsys):
     give_raw(recorded)
-    run(make())
+    run()
     frozen, table = contents(paths.play("calvin")), paths.probe("calvin").read_bytes()
-    run(make(images=finetuned()))
+    run(finetuned())
     folder = paths.play("calvin")
     ours = contents(folder)
     assert ours["observations.npy"] == (paths.frames("calvin") / "frames.npy").read_bytes()
@@ -245,31 +250,33 @@ def test_policies_that_train_the_encoder_get_the_frames_and_its_start(make, reco
     assert list(paths.SCRATCH.iterdir()) == []
 
 
-def test_joint_training_may_start_at_random_or_given_weights(make, recorded, tmp_path):
+def test_joint_training_may_start_at_random_or_given_weights(recorded, tmp_path):
     give_raw(recorded)
-    run(make(images=finetuned(steps=0)))
+    run(finetuned(steps=0))
     random = encoder.load(paths.play("calvin"), torch.device("cpu")).network.state_dict()
     expected = ResNet18(8, torch_generator(0, "initial encoder weights")).state_dict()
     assert all(torch.equal(value, random[name]) for name, value in expected.items())
-    run(make(images=finetuned(images=given(tmp_path))))
+    run(finetuned(images=given(tmp_path)))
     assert json.loads((paths.play("calvin") / "encoder.json").read_text())["shift"] == 1
     with pytest.raises(ValueError, match=r"pretraining\.steps = 0: must be at least 1 unless finetune is true"):
         dataclasses.replace(finetuned(steps=0).features, finetune=False)
 
 
-def test_mistakes_are_one_line_and_leave_nothing(make, recorded, tmp_path):
+def test_mistakes_are_one_line_and_leave_nothing(recorded, tmp_path):
     with pytest.raises(UserError, match="data/raw/calvin is not raw CALVIN play"):
-        preprocess(make(), "calvin")
+        pack()
     with pytest.raises(UserError, match="data/frames/calvin holds no packed frames"):
-        make_features(make(), "calvin")
+        make_features()
     give_raw(recorded)
     large = dataclasses.replace(IMAGES, preprocess=parameters.Preprocess(41, 0.25))
     with pytest.raises(UserError, match="frames of 40 x 40 pixels cannot be packed as 41 x 41"):
-        preprocess(make(images=large), "calvin")
+        pack(large)
     assert not paths.frames("calvin").exists()
-    preprocess(make(), "calvin")
+    pack()
     with pytest.raises(UserError, match=r"weights.pth has SHA-256 \w+, but features.weights says 00"):
-        make_features(make(images=given(tmp_path, sha256="00")), "calvin")
-    with pytest.raises(UserError, match=r"images.block_push is not in params.yaml|environment 'block_push'"):
-        preprocess(make(), "block_push")
+        make_features(given(tmp_path, sha256="00"))
+    with pytest.raises(
+        UserError, match=r"recipes/preprocess/block_push.json is missing: params.yaml has no"
+    ):
+        main("block_push")
     assert not paths.play("calvin").exists()

@@ -5,9 +5,10 @@ import torch
 
 from beso import methods
 from pipeline import profile
-from pipeline.cells.fork import MODES, demonstrations, samples, shares
+from stages import resolve
+from stages.fork import MODES, demonstrations, samples, shares
 
-FORK = profile.load(profile.COMPLETE).fork.methods
+FORK = dict(resolve.recipes(profile.load(profile.COMPLETE)))["fork"].methods
 
 DETERMINISTIC = ("gcbc", "ril")
 

@@ -8,12 +8,12 @@ import pandas as pd
 import pytest
 
 from beso.envs.protocol import Outcome
-from pipeline import paths, profile
-from pipeline.cells import evaluation
-from pipeline.cells.evaluation import evaluate_cell
-from pipeline.params import Film
+from pipeline import profile
+from pipeline.machine import Machine
 from pipeline.report import figures
 from pipeline.report.names import Names
+from stages import evaluate
+from stages.evaluate import evaluate_cell
 
 SIZE = 8
 
@@ -29,8 +29,8 @@ def played(job, chunks, film=None, witness=None):
     for chunk in chunks:
         rows.append([])
         for i in range(chunk.first, chunk.last):
-            row = {"seed": job.training.seed, "goals": chunk.goals, "episode": i, "success": int(i == 1), "length": 9}
-            start, goal, end = (colour(job.training.seed, chunk.goals, i, part) for part in range(3))
+            row = {"seed": job.seed, "goals": chunk.goals, "episode": i, "success": int(i == 1), "length": 9}
+            start, goal, end = (colour(job.seed, chunk.goals, i, part) for part in range(3))
             rows[-1].append(row)
             witness(row, Outcome(0.0, 9, end, {}, goal[None], start))
     return rows
@@ -41,43 +41,46 @@ def smoke(monkeypatch, tmp_path):
     """Two models of two methods in CALVIN, five episodes with three tasks in chunks of two, in an empty folder."""
     smoke = profile.load("smoke")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(evaluation, "evaluate", played)
+    monkeypatch.setattr(evaluate, "evaluate", played)
+    monkeypatch.setattr(evaluate, "film_cell", lambda job, target: None)
     room = smoke.environments["calvin"]
     config = dataclasses.replace(room.evaluation, rollouts=5, chunk=2, tasks=room.evaluation.tasks[:3])
     room = dataclasses.replace(room, seeds=(1, 2), evaluation=config)
-    films = {f"calvin-{method}": Film("calvin", method, method) for method in ("gcbc", "c_beso")}
-    machine = dataclasses.replace(smoke.machine, workers=1)
-    cells = {name: cell for name, cell in smoke.cells.items() if cell.env == "calvin"}
-    return dataclasses.replace(
-        smoke, machine=machine, environments={"calvin": room}, cells=cells, films=films, studies={}
-    )
+    cells = {}
+    for cell in smoke.cells_in("calvin"):
+        film = cell.method in ("gcbc", "c_beso")
+        recipe = dataclasses.replace(cell.evaluate, seeds=(1, 2), evaluation=config, film=film)
+        cells[cell.name] = dataclasses.replace(cell, evaluate=recipe)
+    return dataclasses.replace(smoke, environments={"calvin": room}, cells=cells, studies={})
+
+
+def play(cell, **changes):
+    evaluate_cell(dataclasses.replace(cell.evaluate, **changes), Machine(workers=1))
+    return np.load(cell.scenes)
 
 
 def test_an_episode_of_each_single_task_is_kept(smoke):
-    evaluate_cell(smoke, "calvin", "gcbc")
-    scenes = np.load(paths.scenes("calvin", "gcbc"))
+    scenes = play(smoke.cell("calvin", "gcbc"))
     assert scenes.shape == (3, 3, SIZE, SIZE, 3)
     expected = [[colour(1, "single_tasks", i, part) for part in range(3)] for i in range(3)]
     assert np.array_equal(scenes, expected), "of the first seed and goal set, start, goal and end"
 
 
 def test_without_a_list_of_tasks_none_is_kept(smoke):
-    room = smoke.environments["calvin"]
-    room = dataclasses.replace(room, evaluation=dataclasses.replace(room.evaluation, tasks=None))
-    evaluate_cell(dataclasses.replace(smoke, environments={"calvin": room}), "calvin", "gcbc")
-    assert len(np.load(paths.scenes("calvin", "gcbc"))) == 0
+    cell = smoke.cell("calvin", "gcbc")
+    assert len(play(cell, evaluation=dataclasses.replace(cell.evaluate.evaluation, tasks=None))) == 0
 
 
 def draw(smoke):
     names = Names(smoke)
-    methods = [cell.method for cell in smoke.films.values()]
-    episodes = {names.methods[method]: pd.read_csv(paths.episodes("calvin", method)) for method in methods}
+    cells = [cell for cell in smoke.cells.values() if cell.evaluate.film]
+    episodes = {names.methods[cell.method]: pd.read_csv(cell.episodes) for cell in cells}
     return figures.goals(smoke, names, "calvin", episodes, Path())
 
 
 def test_goals_stand_beside_what_the_filmed_methods_left(smoke, tmp_path):
     for method in ("gcbc", "c_beso"):
-        evaluate_cell(smoke, "calvin", method)
+        play(smoke.cell("calvin", method))
     drawing = draw(smoke)
     assert drawing.name == "goals_calvin"
     assert "GCBC, C-BESO (model seed 1)" in drawing.caption
@@ -100,4 +103,8 @@ def test_goals_stand_beside_what_the_filmed_methods_left(smoke, tmp_path):
 
 
 def test_where_nothing_is_filmed_there_is_no_figure(smoke):
-    assert draw(dataclasses.replace(smoke, films={})) is None
+    unfilmed = {
+        name: dataclasses.replace(cell, evaluate=dataclasses.replace(cell.evaluate, film=False))
+        for name, cell in smoke.cells.items()
+    }
+    assert draw(dataclasses.replace(smoke, cells=unfilmed)) is None

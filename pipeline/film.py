@@ -10,23 +10,23 @@ from beso.errors import CannotDrawError
 from beso.evaluation_config import Chunk
 from beso.files import replacing, write_json
 from beso.rollout import EvaluationJob, Row, evaluate
-from pipeline import paths
-from pipeline.cells.evaluation import evaluation_jobs
-from pipeline.params import Params
 from pipeline.pool import map_jobs
 
 FRAMES_PER_SECOND = 20  # about twice the environments' actions a second
 TRACK_NUMBER = b"\x73\xc5\x88"  # Matroska's TrackUID, an integer of 8 bytes
 
 
-def film_cell(params: Params, environment: str, method: str) -> None:
-    """Film the first episode of a cell's first seed, with the paper's kind of goal, and keep the episode's row.
+def film_cell(job: EvaluationJob | None, target: Path) -> None:
+    """Write a folder with a film of a model's first episode, with the paper's kind of goal, and the episode's row.
 
-    On a machine that cannot draw this environment there is no film, and the row is the reason (`no_film`).
+    Without a job, or on a machine that cannot draw this environment, there is no film, and the row is the reason
+    (`no_film`).
     """
-    job = evaluation_jobs(params, environment, method, params.sampling(environment, method))[0]
-    with replacing(paths.film(environment, method)) as folder:
+    with replacing(target) as folder:
         folder.mkdir()
+        if job is None:
+            write_json(folder / "rollout.json", {"no_film": "params.yaml does not ask for one"})
+            return
         try:
             # One worker is this process with a single thread.
             (row,) = map_jobs(film_episode, [(job, folder / "rollout.webm")], 1)

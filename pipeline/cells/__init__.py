@@ -1,1 +1,0 @@
-"""What the stages do: one module a stage."""
