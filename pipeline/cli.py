@@ -27,6 +27,7 @@ class Command(click.Command):
     """Runs in the repository's root; a user's mistake is one line and exit code 1."""
 
     def invoke(self, ctx: click.Context) -> None:
+        """Called by click once the arguments are read."""
         guard(self._in_root, ctx)
 
     def _in_root(self, ctx: click.Context) -> None:
@@ -44,11 +45,12 @@ class Group(click.Group):
     group_class = type
 
     def list_commands(self, ctx: click.Context) -> list[str]:
+        """Called by click for the help."""
         return list(self.commands)
 
 
 class At(click.ParamType):
-    """A path, seen from the root. With `maybe`, what is no path that exists stays as it is."""
+    """A path, seen from the root, as defaults are. With `maybe`, what is no path that exists stays as it is."""
 
     name = "path"
 
@@ -56,6 +58,9 @@ class At(click.ParamType):
         self.maybe = maybe
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Called by click for what was given, and for the default."""
+        if isinstance(value, Path):
+            return value
         path = Path(value).expanduser()
         if self.maybe and not path.exists():
             return value
@@ -63,13 +68,18 @@ class At(click.ParamType):
         return str(seen) if self.maybe else seen
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+        """Called by click for the shell."""
         return click.Path().shell_complete(ctx, param, incomplete)
 
 
 CELL = click.argument("cell")
 CELLS = click.argument("cells", nargs=-1, metavar="[CELL]...")
 MODELS = click.option(
-    "--models", type=At(), default="models", show_default=True, help="Folder of a run's models, or of `beso train`'s."
+    "--models",
+    type=At(),
+    default=Path("models"),
+    show_default=True,
+    help="Folder of a run's models, or of `beso train`'s.",
 )
 
 
@@ -124,7 +134,9 @@ def check() -> None:
 @CELLS
 @click.option("--seed", "seeds", type=int, multiple=True, help="Of params.yaml; repeat it for several. Default: all.")
 @click.option("--hours", type=float, default=float("inf"), help="Stop then; the same command continues.")
-@click.option("--out", type=At(), default="trained", show_default=True, help="Folder of models, states and curves.")
+@click.option(
+    "--out", type=At(), default=Path("trained"), show_default=True, help="Folder of models, states and curves."
+)
 def train(cells: Sequence[str], seeds: Sequence[int], hours: float, out: Path) -> None:
     """Train cells into a folder, without DVC or a simulator.
 
@@ -155,7 +167,7 @@ def evaluate(cell: str, models: Path, seeds: Sequence[int], rows: Path | None) -
 @MODELS
 @click.option("--seed", type=int, default=1, show_default=True, help="The trained model.")
 @click.option("--episode", type=click.IntRange(min=0), default=0, show_default=True, help="Its number.")
-@click.option("--run", type=At(), default=".", help="A run's folder, like reports/published/cpu. Default: this one.")
+@click.option("--run", type=At(), default=Path(), help="A run's folder, like reports/published/cpu. Default: this one.")
 @click.option("--film", type=At(), default="watch.webm", show_default=True, help="File to write.")
 def watch(cell: str, models: Path, seed: int, episode: int, run: Path, film: Path) -> None:
     """Film an episode of the evaluation: same start, goal and noise."""

@@ -1,7 +1,4 @@
-"""params.yaml as frozen objects, checked as a whole before any work.
-
-`python -m pipeline.params` checks the file and says so.
-"""
+"""params.yaml as frozen objects, checked as a whole before any work."""
 
 import dataclasses
 import itertools
@@ -569,13 +566,3 @@ def merge(base: Any, changes: Any, where: str) -> dict[str, Any]:
             raise UserError(f"{where}.{key} = {value!r}: unknown key; allowed are {', '.join(merged) or 'none'}")
         merged[key] = merge(merged[key], value, f"{where}.{key}") if isinstance(merged[key], dict) else value
     return merged
-
-
-if __name__ == "__main__":
-    from pipeline.stage import run
-
-    def main() -> None:
-        params = load()
-        print(f"{PATH}: profile {params.profile}, {len(params.cells)} cells, {len(params.studies)} studies, valid")
-
-    run(main)

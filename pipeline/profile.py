@@ -1,4 +1,4 @@
-"""`python -m pipeline.profile NAME` writes params.yaml from profiles/paper/ and what profiles/NAME/ changes.
+"""`beso profile NAME` writes params.yaml from profiles/paper/ and what profiles/NAME/ changes.
 
 A profile is a folder of files: common.yaml, and one a room (environment). The complete profile's files are joined,
 common.yaml first; in those of another profile, `null` for a whole cell, method, study or environment leaves it out.
@@ -17,7 +17,6 @@ from beso.errors import UserError
 from beso.files import write_text
 from pipeline import params
 from pipeline.params import Params
-from pipeline.stage import run
 
 FOLDER = Path("profiles")
 COMPLETE = "paper"
@@ -123,6 +122,7 @@ def _note(values: Any, key: str) -> None:
 
 
 def main(name: str) -> None:
+    """Write params.yaml, and print what changes. Raises UserError as `render` does."""
     text = render(name)
     try:
         before = dict(leaves(params.read_yaml(params.PATH)))
@@ -133,7 +133,3 @@ def main(name: str) -> None:
     for key in sorted(before.keys() | after.keys()):
         if before.get(key) != after.get(key):
             print(f"{key}: {before.get(key)} -> {after.get(key)}")
-
-
-if __name__ == "__main__":
-    run(main, "profile")
