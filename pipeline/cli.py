@@ -103,9 +103,9 @@ def cli() -> None:
 @click.option("-j", "--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Stages at a time.")
 @click.argument("stages", nargs=-1, metavar="[STAGE]...")
 def run(stages: Sequence[str], jobs: int) -> None:
-    """Bring stages up to date, and what they need: `dvc repro`, side by side.
+    """Bring stages up to date, several at a time.
 
-    Without a STAGE, all are meant.
+    As `dvc repro` does one after another: these stages and what they need; without a STAGE, all.
     """
     from pipeline.run import run
 
