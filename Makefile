@@ -16,8 +16,8 @@ $(BIN)/.installed: pyproject.toml
 	touch $@
 
 reproduce: setup
-	python -m pipeline.params
-	python -m pipeline.run -j 2
+	beso check
+	beso run -j 2
 
 test: setup check
 	python -m pytest

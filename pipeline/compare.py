@@ -1,4 +1,4 @@
-"""`python -m pipeline.compare A B [--markdown]`: whether run B's results differ from run A's by more than chance.
+"""`beso compare A B`: whether run B's results differ from run A's by more than chance.
 
 A run is a folder that holds one (`.`, or an archive like reports/published/cpu), a git revision, or a folder in a
 revision (`REVISION:FOLDER`). A revision's episodes come from DVC's cache or remote through its dvc.lock; where neither
@@ -8,11 +8,9 @@ Episodes are paired by seed, goal set and number, so that what both runs share (
 does not blur the difference. `dvc metrics diff` shows means alone.
 """
 
-import argparse
 import io
 import math
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,7 +27,6 @@ from pipeline.report.comparison import of_cells, verdict
 from pipeline.report.names import value
 from pipeline.report.statistics import PAIRS, Estimate, difference, of_difference, over_seeds
 from pipeline.report.tables import number
-from pipeline.stage import guard
 
 COMPARISON = "comparison.csv"
 SHOWN = 10  # parameters that differ, at most
@@ -293,17 +290,3 @@ def _parameters(first: Run, second: Run, markdown: bool) -> list[str]:
         lines.append(f"and {len(differ) - SHOWN} more")
     heading = f"Parameters that differ: {len(differ)}" if differ else "No parameter differs."
     return [heading, *(f"- {line}" if markdown else f"  {line}" for line in lines)]
-
-
-def main(*arguments: str) -> None:
-    parser = argparse.ArgumentParser(prog="python -m pipeline.compare", description="compare the results of two runs")
-    parser.add_argument("a", metavar="A", help="a folder, a git revision, or REVISION:FOLDER")
-    parser.add_argument("b", metavar="B", help="the other run")
-    parser.add_argument("--markdown", action="store_true", help="print a Markdown table")
-    options = parser.parse_args(arguments)
-    names = (options.a, options.b)
-    print(report(names, (load(options.a), load(options.b)), options.markdown))
-
-
-if __name__ == "__main__":
-    guard(main, *sys.argv[1:])

@@ -25,7 +25,7 @@ Result = TypeVar("Result")
 
 def available_workers() -> int:
     """Number of processors this process may use: the environment variable BESO_WORKERS, or all it can run on."""
-    if share := os.environ.get("BESO_WORKERS"):  # of a stage that runs beside others (pipeline.run)
+    if share := os.environ.get("BESO_WORKERS"):  # of a stage that runs beside others (`beso run`)
         return int(share)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

@@ -22,7 +22,7 @@ def folder(*parts: Any) -> Path:
 
     The environment variable BESO_SCRATCH names another place than `.scratch`.
     """
-    return Path(os.environ.get("BESO_SCRATCH", paths.SCRATCH)).absolute() / fingerprint(*parts)
+    return Path(os.environ.get("BESO_SCRATCH", paths.SCRATCH)).expanduser().absolute() / fingerprint(*parts)
 
 
 def fingerprint(*parts: Any, torch_version: str = torch.__version__) -> str:

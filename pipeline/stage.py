@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from typing import Any
 
 from beso.errors import UserError
 
@@ -31,7 +32,7 @@ def run(main: Callable[..., None], *arguments: str) -> None:
     guard(main, *given)
 
 
-def guard(main: Callable[..., None], *given: str) -> None:
+def guard(main: Callable[..., Any], *given: Any) -> None:
     """Call `main` with arguments that it checks itself; exit codes as `run`."""
     log_to_stderr()
     try:

@@ -110,7 +110,7 @@ def check(part: Part, folder: Path, wanted: dict[str, Any]) -> None:
             difference = f"{key} is {found.get(key, missing)!r} there and {expected.get(key, missing)!r} here"
         raise UserError(
             f"{folder} has {part.stage} of other {kind}: {difference}; archive it anew, or drop it:"
-            f" `python -m pipeline.tools.publish --drop {part.stage}`"
+            f" `beso publish --drop {part.stage}`"
         )
 
 

@@ -1,4 +1,4 @@
-"""`python -m pipeline.tools.goal_use ENV METHOD` measures whether a trained policy looks at its goal.
+"""`beso goal-use CELL` measures whether a trained policy looks at its goal.
 
 On the first steps of held-out demonstrations it compares the policy's actions with the demonstrated ones, twice: with
 the demonstration's own goal and with that of another one. A policy that ignores its goal errs as much with both.
@@ -22,7 +22,6 @@ from beso.noise import BatchNoise
 from beso.seeding import torch_generator
 from pipeline import paths
 from pipeline.params import load
-from pipeline.stage import run
 
 STEPS = 40  # at the start of a demonstration, where it is not plain yet where it leads
 AHEAD = 20  # steps from a decision to a goal that is near
@@ -78,13 +77,15 @@ def errors(
     return error(goals), error(goals.roll(each, dims=0))
 
 
-def main(environment: str, method: str) -> None:
+def goal_use(name: str) -> None:
+    """Print the errors of every seed of a cell. Raises UserError if one is not trained, or as `errors`."""
     params = load()
-    device, sampling = pick_device(params.machine.device), params.sampling(environment, method)
-    spec = envs.spec(environment)
-    dataset = play.load(paths.play(environment), spec)
-    for seed in params.environments[environment].seeds:
-        job, folder = params.job(environment, method, seed), paths.models(environment, method)
+    cell = params.cell_named(name)
+    device, sampling = pick_device(params.machine.device), params.sampling(cell.env, cell.method)
+    spec = envs.spec(cell.env)
+    dataset = play.load(paths.play(cell.env), spec)
+    for seed in params.environments[cell.env].seeds:
+        job, folder = params.job(cell.env, cell.method, seed), paths.models(cell.env, cell.method)
         checkpoint.check(folder, job)
         policy = checkpoint.load(folder, seed, sampling, device)
         seen = replace(dataset, observations=policy.encode(dataset.observations))
@@ -94,8 +95,4 @@ def main(environment: str, method: str) -> None:
         for ahead, goals in [(None, "last states"), (AHEAD, f"{AHEAD} steps ahead")]:
             own, other = errors(policy.method, policy.scaling, seen, held_out, *shape, ahead)
             what = f"{own:.4f} with the own goal, {other:.4f} with another's"
-            print(f"{method} seed {seed}, goals {goals}: action error {what}")
-
-
-if __name__ == "__main__":
-    run(main, "environment", "method")
+            print(f"{name} seed {seed}, goals {goals}: action error {what}")

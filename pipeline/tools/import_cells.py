@@ -1,9 +1,9 @@
-"""`python -m pipeline.tools.import_cells FOLDER` takes trained models instead of training them here.
+"""`beso import FOLDER` takes trained models instead of training them here.
 
-FOLDER is what `pipeline.tools.train_cells` wrote elsewhere, or another run or archive, which `pipeline.tools.publish`
-makes: of an archive, the models whose weights it keeps, in half precision. Seeds of the parameters and play data that
-are here go to the scratch folder, where a killed stage would have left them. `dvc repro train` then finds nothing left
-to train, writes models and curves, and records them as ever.
+FOLDER is what `beso train` wrote elsewhere, or another run or archive, which `beso publish` makes: of an archive, the
+models whose weights it keeps, in half precision. Seeds of the parameters and play data that are here go to the scratch
+folder, where a killed stage would have left them. `dvc repro train` then finds nothing left to train, writes models and
+curves, and records them as ever.
 """
 
 import shutil
@@ -18,20 +18,19 @@ from beso.files import replacing
 from pipeline import paths, scratch
 from pipeline.cells.training import cell_jobs, identity
 from pipeline.params import load
-from pipeline.stage import run
-from pipeline.tools.train_cells import find_finished
+from pipeline.tools.train import cell_folder, find_finished
 
 DEVICES = ("cpu", "cuda")  # of trainings elsewhere
 
 
-def main(folder: str) -> None:
+def import_cells(folder: Path) -> None:
+    """Take what the folder has of params.yaml's cells, and say which seeds. Raises UserError if there is no folder."""
     params = load()
     device = pick_device(params.machine.device).type
-    if not Path(folder).is_dir():
-        raise UserError(f"{folder} is missing: expected the folder that train_cells wrote, a run or an archive")
+    if not folder.is_dir():
+        raise UserError(f"{folder} is missing: expected the folder that `beso train` wrote, a run or an archive")
     for name, cell in params.cells.items():
-        of_run = Path(folder) / paths.models(cell.env, cell.method)
-        trained = of_run if of_run.is_dir() else Path(folder) / cell.env / cell.method
+        trained = cell_folder(folder, cell)
         if not any(trained.rglob("*.safetensors")):  # an archive keeps the weights of few
             continue
         jobs = cell_jobs(params, cell.env, cell.method)
@@ -54,7 +53,7 @@ def main(folder: str) -> None:
 
 
 def _compare_code(folder: Path, identities: list[list[Any]]) -> None:
-    """Say so if other files in beso/ trained a model: the name of train_cells' folder covers them and its identity."""
+    """Say so if other files in beso/ trained a model: its folder's name covers them and its identity."""
     seed, _, name = folder.name.partition("-")
     if not name:
         print(f"{folder}: taken; it does not tell which state of beso/ trained it")
@@ -62,7 +61,3 @@ def _compare_code(folder: Path, identities: list[list[Any]]) -> None:
     version = checkpoint.load_description(folder, int(seed.removeprefix("seed")))["torch"]
     if name not in {scratch.fingerprint(*identity, torch_version=version) for identity in identities}:
         print(f"{folder}: taken, but beso/ has changed since; see that its training has not")
-
-
-if __name__ == "__main__":
-    run(main, "folder")

@@ -1,4 +1,4 @@
-"""`python -m pipeline.tools.publish [NAME ...]` archives what is finished in reports/published/<profile>/.
+"""`beso publish [NAME ...]` archives what is finished in reports/published/<profile>/.
 
 A NAME is a stage (`evaluate@block_push-c_beso`, `study@noise_block_push`, `fork`) or an environment, which stands for
 its finished cells and studies; without any, everything finished is meant: what DVC would not run again. What the
@@ -10,15 +10,14 @@ The folder is laid out as the repository, the report's files at its top. Beside 
 record, `<name>.json`: its parameters, the digest of the play data, versions. Of play data there is a summary, of trials
 the first ones, and of weights those of the first seed where `--weights METHOD` asks for them, in half precision:
 
-    python -m pipeline.tools.publish --weights c_beso
+    beso publish --weights c_beso
 
-`python -m pipeline.watch ENV METHOD --run FOLDER` films these. `--drop NAME` takes out a stage or an environment.
+`beso watch CELL --run FOLDER` films these. `--drop NAME` takes out a stage or an environment.
 """
 
-import argparse
 import json
 import shutil
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +35,13 @@ from pipeline.report.gather import SUMMARY, summary
 from pipeline.report.page import versions
 from pipeline.report.write import write_tables
 from pipeline.run import plan
-from pipeline.stage import guard
 from pipeline.tools.archive import Part, check, held, parameters, parts, restricted
 
 FOLDER = paths.REPORTS / "published"
 LARGEST = 2_000_000  # bytes of a file of weights: git keeps every version for ever
 
 
-def choose(available: dict[str, Part], names: list[str]) -> list[Part]:
+def choose(available: dict[str, Part], names: Sequence[str]) -> list[Part]:
     """The finished parts among those named, or all finished ones.
 
     Raises:
@@ -54,12 +52,10 @@ def choose(available: dict[str, Part], names: list[str]) -> list[Part]:
         if not of_name:
             raise UserError(f"{name!r} is neither an environment nor one of {', '.join(available)}")
     wanted = {p.stage: p for of_name in named.values() for p in of_name} if names else available
-    stale = plan([])
+    stale = plan([p.stage for p in wanted.values()])
     for name, of_name in named.items():
         if all(p.stage in stale for p in of_name):
-            raise UserError(
-                f"{name} is not finished: run `python -m pipeline.run {' '.join(p.stage for p in of_name)}`"
-            )
+            raise UserError(f"{name} is not finished: run `beso run {' '.join(p.stage for p in of_name)}`")
     return [p for p in wanted.values() if p.stage not in stale]
 
 
@@ -146,7 +142,7 @@ def _copy(path: Path, folder: Path) -> None:
     shutil.copyfile(path, target)
 
 
-def write(folder: Path, params: Params, there: list[Part], new: list[Part], weights_of: list[str]) -> None:
+def write(folder: Path, params: Params, there: list[Part], new: list[Part], weights_of: Sequence[str]) -> None:
     """Write an archive that has some parts, the new ones from the run and the others as it had them.
 
     Args:
@@ -179,31 +175,43 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
         write_tables(shown, temporary, temporary)
 
 
-def main(*arguments: str) -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m pipeline.tools.publish", description="archive what is finished of this run"
-    )
-    parser.add_argument("names", nargs="*", metavar="NAME", help="a stage or an environment (default: all finished)")
-    parser.add_argument("--weights", nargs="+", default=[], metavar="METHOD", help="keep weights of these methods")
-    parser.add_argument("--drop", nargs="+", default=[], metavar="NAME", help="take these out, and add nothing")
-    options = parser.parse_args(arguments)
+def recover(folder: Path) -> None:
+    """Put back an archive that a killed process left under its temporary name, and remove what such ones left."""
+    for path in folder.parent.glob(f".{folder.name}.*"):
+        *_, number, kind = path.name.split(".")
+        if kind in ("old", "partial") and number.isdecimal() and not Path("/proc", number).exists():
+            if kind == "old" and not folder.exists():
+                path.rename(folder)
+                print(f"{folder}: put back after a killed `beso publish`")
+            else:
+                shutil.rmtree(path)
+
+
+def publish(names: Sequence[str], weights: Sequence[str], dropped: Sequence[str]) -> None:
+    """Archive what is finished of this run, and say how much.
+
+    Args:
+        names: stages and environments; none means all that is finished.
+        weights: methods whose weights are to be kept.
+        dropped: stages and environments to take out; then nothing is added.
+
+    Raises:
+        UserError: an unknown name, nothing finished of it, or parameters or data other than those of the archive.
+    """
     params = load()
     available, folder = parts(params), FOLDER / params.profile
-    for method in options.weights:
+    for method in weights:
         if method not in params.methods:
             raise UserError(f"--weights {method}: {PATH} has the methods {', '.join(params.methods)}")
+    recover(folder)
     before = held(folder, available)
-    for name in options.drop:
+    for name in dropped:
         if not any(name in (part.stage, part.env) for part in before):
             raise UserError(f"--drop {name}: {folder} has {', '.join(part.stage for part in before) or 'nothing'}")
-    stay = [part for part in before if not {part.stage, part.env} & {*options.drop}]
-    new = [] if options.drop else choose(available, options.names)
+    stay = [part for part in before if not {part.stage, part.env} & {*dropped}]
+    new = [] if dropped else choose(available, names)
     there = [part for part in available.values() if part in new or part in stay]
     if not any(part.is_cell for part in there):
-        raise UserError(f"no cell of profile {params.profile} is finished or archived: run `python -m pipeline.run`")
-    write(folder, params, there, new, options.weights)
+        raise UserError(f"no cell of profile {params.profile} is finished or archived: run `beso run`")
+    write(folder, params, there, new, weights)
     print(f"{folder}: {len(new)} cells and studies archived, {len(there) - len(new)} stay as they were")
-
-
-if __name__ == "__main__":
-    guard(main, *sys.argv[1:])

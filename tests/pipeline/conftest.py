@@ -37,7 +37,7 @@ class Workspace:
                 shutil.copy2(ROOT / name, folder / name)
         workspace = cls(folder)
         (folder / "dvc.lock").unlink(missing_ok=True)
-        workspace.python("-m", "pipeline.profile", "smoke")
+        workspace.beso("profile", "smoke")
         subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
         workspace.commit()
         return workspace
@@ -87,6 +87,9 @@ class Workspace:
 
     def python(self, *arguments, **keywords):
         return self.run(sys.executable, *arguments, **keywords)
+
+    def beso(self, *arguments, **keywords):
+        return self.python("-m", "pipeline.cli", *arguments, **keywords)
 
     def dvc(self, *arguments, **keywords):
         return self.run("dvc", *arguments, **keywords)
@@ -150,7 +153,7 @@ def made_once(factory, name, make):
 
 def run_all(folder):
     workspace = Workspace.fresh(folder)
-    workspace.python("-m", "pipeline.run", "-j", "2")
+    workspace.beso("run", "-j", "2")
     workspace.commit()
 
 

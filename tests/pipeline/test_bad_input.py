@@ -50,7 +50,7 @@ def test_unknown_parameter(small):
     line = fails(started, small, "train", "block_push", "gcbc")
     assert "params.yaml.methods.gcbc.train.block_push.model.depth = 3: unknown key" in line
     small.set("methods.gcbc.train.block_push.model", {"width": 32, "layers": 2, "dropout": 0.1})
-    small.python("-m", "pipeline.params")
+    small.beso("check")
 
 
 def test_wrong_type_through_dvc(small):

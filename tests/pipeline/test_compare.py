@@ -161,17 +161,17 @@ def test_results_of_cells_that_params_no_longer_name_are_left_over(run):
 
 
 def test_revisions_have_episodes_through_dvc_or_else_their_comparison(small):
-    done = small.python("-m", "pipeline.compare", "HEAD", ".")
+    done = small.beso("compare", "HEAD", ".")
     assert "HEAD and . do not differ: the same in all 32 episodes." not in done.stdout  # the studies' rows count too
     assert "HEAD and . do not differ: the same in all " in done.stdout
     small.set("methods.c_beso.sample.block_push.sampler", "euler_ancestral")
     small.repro("evaluate@block_push-c_beso")
-    done = small.python("-m", "pipeline.compare", "HEAD", ".", "--markdown")
+    done = small.beso("compare", "HEAD", ".", "--markdown")
     assert "| Block-Push | C-BESO | training goals | Result |" in done.stdout
     assert "methods.c_beso.sample.block_push.sampler: ddim -> euler_ancestral" in done.stdout
     small.run("rm", "-r", ".dvc/cache")
-    done = small.python("-m", "pipeline.compare", "HEAD", ".")
+    done = small.beso("compare", "HEAD", ".")
     row = next(line for line in done.stdout.splitlines() if "C-BESO" in line and "Result" in line)
     assert row.endswith("none")
-    done = small.run("python", "-m", "pipeline.compare", "HEAD", "nothing", check=False)
+    done = small.beso("compare", "HEAD", "nothing", check=False)
     assert (done.returncode, done.stdout) == (1, "error: nothing: neither a folder nor a git revision\n")

@@ -241,7 +241,7 @@ def nothing_of(environment, values):
 def test_a_profile_without_an_environment_leaves_no_broken_place(workspace):
     left_out = nothing_of("calvin", YAML(typ="safe").load(workspace.folder / "profiles/paper/calvin.yaml"))
     YAML().dump(left_out, workspace.folder / "profiles/smoke/calvin.yaml")
-    workspace.python("-m", "pipeline.profile", "smoke")
+    workspace.beso("profile", "smoke")
     latency = pd.read_csv(workspace.folder / "timings/latency.csv").query("environment != 'calvin'")
     latency.to_csv(workspace.folder / "timings/latency.csv", index=False)  # as the stage would, but at once
     for stage in ("tables", "page"):
@@ -253,7 +253,7 @@ def test_a_profile_without_an_environment_leaves_no_broken_place(workspace):
     links.feed(page)
     assert links.open == []
     for place in ("Figure 3", "Figure 4"):
-        assert "All of it: not in profile smoke; <code>python -m pipeline.profile cpu</code>" in part(page, place)
+        assert "All of it: not in profile smoke; <code>beso profile cpu</code>" in part(page, place)
     assert "No environment of this profile gives its policies images." in page
     assert part(page, "Table II").count('<span class="none">not run</span>') == 4
 
@@ -329,8 +329,8 @@ def test_films_that_the_page_has_no_room_for_are_named(finished, monkeypatch):
 
 def test_watch_films_an_episode_of_the_evaluation(finished, tmp_path):
     film = tmp_path / "watch.webm"
-    command = ("-m", "pipeline.watch", "block_push", "c_beso", "--seed", "2", "--episode", "1", "--film", str(film))
-    shown = finished.python(*command).stdout
+    command = ("watch", "block_push-c_beso", "--seed", "2", "--episode", "1", "--film", str(film))
+    shown = finished.beso(*command).stdout
     rows = pd.read_csv(finished.folder / "results/block_push/c_beso.csv")
     row = rows[(rows["seed"] == 2) & (rows["goals"] == "training") & (rows["episode"] == 1)].iloc[0]
     assert f"goal_demonstration {row['goal_demonstration']}, " in shown
@@ -340,7 +340,7 @@ def test_watch_films_an_episode_of_the_evaluation(finished, tmp_path):
         frames += 1
     assert frames == row["length"] + 1
     for name in ("watch.mp4", "nowhere/watch.webm"):
-        done = finished.python(*command[:-1], str(tmp_path / name), check=False)
+        done = finished.beso(*command[:-1], str(tmp_path / name), check=False)
         assert done.stdout == f"error: --film {tmp_path / name}: must be a .webm file in a folder that exists\n"
 
 

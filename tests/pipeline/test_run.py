@@ -1,10 +1,13 @@
 """The parallel runner on throw-away DVC repositories with trivial commands."""
 
+import fcntl
 import os
 import pty
 import signal
+import struct
 import subprocess
 import sys
+import termios
 import time
 from pathlib import Path
 
@@ -71,7 +74,7 @@ class Repository:
         (self.folder / name).write_text(text)
 
     def command(self, *arguments):
-        return [sys.executable, "-m", "pipeline.run", *arguments]
+        return [sys.executable, "-m", "pipeline.cli", "run", *arguments]
 
     @property
     def environment(self):
@@ -110,13 +113,6 @@ class Repository:
     def time(self, name, what):
         return next(float(values[0]) for n, w, *values in self.events() if (n, w) == (name, what))
 
-    def assert_lock_is_dvcs(self):
-        """DVC itself, rewriting dvc.lock, writes the bytes that are there."""
-        path = self.folder / "dvc.lock"
-        before = path.read_bytes()
-        self.call(sys.executable, "-m", "dvc", "commit", "--force")
-        assert path.read_bytes() == before
-
     def lock(self):
         return YAML(typ="safe").load((self.folder / "dvc.lock").read_text())
 
@@ -154,7 +150,6 @@ def test_order_overlap_shares_lock_and_what_reruns(repository, tmp_path):
         assert (repository.folder / name).read_bytes() == (sequential.folder / name).read_bytes()
 
     before = (repository.folder / "dvc.lock").read_bytes()
-    repository.assert_lock_is_dvcs()
     assert repository.run() == "everything is up to date\n"
     assert not repository.events()
     assert (repository.folder / "dvc.lock").read_bytes() == before
@@ -165,7 +160,6 @@ def test_order_overlap_shares_lock_and_what_reruns(repository, tmp_path):
     assert repository.started() == ["left"], "its output is as before: DVC skips the end"
     assert "2 stages brought up to date" in output
     assert (repository.folder / "dvc.lock").read_bytes() != before
-    repository.assert_lock_is_dvcs()
 
 
 def test_targets_run_with_what_they_need(repository):
@@ -174,7 +168,31 @@ def test_targets_run_with_what_they_need(repository):
     repository.run("side", "other")
     assert sorted(repository.started()) == ["other", "right"]
     assert "error: " in repository.run("nonsense", code=1)
-    assert "at least 1" in repository.run("-j", "0", code=2)
+    assert "0 is not in the range x>=1" in repository.run("-j", "0", code=2)
+
+
+def test_another_run_of_other_targets_is_left_alone(repository):
+    repository.write("nap_other", "60")
+    command = [sys.executable, "-m", "dvc", "repro", "other"]
+    settings = {"cwd": repository.folder, "env": repository.environment, "start_new_session": True}
+    other = subprocess.Popen(command, **settings, stderr=subprocess.DEVNULL)
+    try:
+        wait_for(repository, 1)
+        assert "3 stages brought up to date" in repository.call(*repository.command("side"))
+        assert sorted(repository.started()) == ["a", "left", "other", "right"]
+        assert "is busy" in repository.call(*repository.command("other"), code=1)
+    finally:
+        os.killpg(other.pid, signal.SIGINT)
+    assert other.wait() != 0
+    assert set(repository.lock()["stages"]) == {"a", "side@left", "side@right"}
+
+
+def test_it_works_from_a_subfolder(repository):
+    folder = repository.folder / "some/where"
+    folder.mkdir(parents=True)
+    command = repository.command("side@left")
+    subprocess.run(command, cwd=folder, env=repository.environment, check=True, capture_output=True)
+    assert repository.started() == ["a", "left"]
 
 
 def test_a_failing_stage_stops_only_what_needs_it_and_the_next_run_continues(repository):
@@ -246,6 +264,7 @@ def test_ctrl_c_ends_the_stages_and_the_next_run_continues(repository, in_backgr
 def test_a_terminal_shows_one_line_that_changes(repository):
     repository.write("nap", str(NAP))
     parent, child = pty.openpty()
+    fcntl.ioctl(child, termios.TIOCSWINSZ, struct.pack("4H", 24, 80, 0, 0))
     process = repository.start("side", stdin=child, stdout=child, stderr=child)
     os.close(child)
     output = b""

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ ENCODER = "data/play/calvin/encoder.safetensors"
 def archived(finished, tmp_path_factory):
     """The finished smoke run with an archive of all of it."""
     workspace = finished.copy(tmp_path_factory.mktemp("archived") / "workspace")
-    workspace.python("-m", "pipeline.tools.publish", "--weights", "c_beso")
+    workspace.beso("publish", "--weights", "c_beso")
     return workspace
 
 
@@ -34,7 +35,7 @@ def archived(finished, tmp_path_factory):
 def archived_small(finished_small, tmp_path_factory):
     """The small finished workspace with an archive of all of it."""
     workspace = finished_small.copy(tmp_path_factory.mktemp("archived_small") / "workspace")
-    workspace.python("-m", "pipeline.tools.publish")
+    workspace.beso("publish")
     return workspace
 
 
@@ -64,7 +65,7 @@ def test_the_archive_of_a_whole_run_has_the_tables_of_the_run(archived):
     for name in ("tables.tex", "comparison.csv", "metrics.json"):
         assert (archive / name).read_bytes() == (reports / name).read_bytes()
     assert contents(archive / "figures") == contents(reports / "figures")
-    assert "do not differ: the same in all" in archived.python("-m", "pipeline.compare", ARCHIVE, ".").stdout
+    assert "do not differ: the same in all" in archived.beso("compare", ARCHIVE, ".").stdout
 
 
 def test_archives_keep_the_weights_that_were_asked_for_and_git_takes_them(archived):
@@ -86,7 +87,7 @@ def test_an_archive_grows_in_sittings_to_the_same_bytes(archived, tmp_path, monk
     monkeypatch.chdir(first.folder)
     with monkeypatch.context() as context:
         context.setattr(figures, "save", lambda *_: None)  # most of the time, and the second sitting replaces them
-        publish.main("kitchen", "fork", "--weights", "c_beso")
+        publish.publish(["kitchen", "fork"], ["c_beso"], [])
     missing = not_run(first.folder / ARCHIVE) - not_run(first.folder / "reports")
     assert {environment for environment, _ in missing} == {"block_push"}
     assert {"gcbc", "c_beso"} <= {method for _, method in missing}
@@ -95,15 +96,15 @@ def test_an_archive_grows_in_sittings_to_the_same_bytes(archived, tmp_path, monk
     for folder in ("data/play", "data/trials", "models", "results"):
         shutil.rmtree(second.folder / folder / "kitchen")
     (second.folder / "results/fork.csv").unlink()
-    second.python("-m", "pipeline.tools.publish", "--weights", "c_beso")
+    second.beso("publish", "--weights", "c_beso")
     assert contents(second.folder / ARCHIVE) == whole
 
 
-def refused(workspace, monkeypatch, *arguments):
+def refused(workspace, monkeypatch, *names, weights=(), drop=()):
     monkeypatch.chdir(workspace.folder)
     before = contents(workspace.folder / ARCHIVE)
     with pytest.raises(UserError) as error:
-        publish.main(*arguments)
+        publish.publish(names, weights, drop)
     assert contents(workspace.folder / ARCHIVE) == before
     return str(error.value)
 
@@ -120,36 +121,51 @@ def test_cells_of_other_parameters_or_data_do_not_stand_side_by_side(archived_sm
     assert refused(workspace, monkeypatch) == (
         f"{ARCHIVE} has evaluate@block_push-gcbc of other parameters: environments.block_push.evaluation.seed is 1000"
         " there and 7 here; archive it anew, or drop it:"
-        " `python -m pipeline.tools.publish --drop evaluate@block_push-gcbc`"
+        " `beso publish --drop evaluate@block_push-gcbc`"
     )
     line = refused(workspace, monkeypatch, "block_push")
-    assert line.startswith("block_push is not finished: run `python -m pipeline.run evaluate@block_push-gcbc ")
+    assert line.startswith("block_push is not finished: run `beso run evaluate@block_push-gcbc ")
 
 
 def test_a_dropped_cell_is_not_run(archived_small, tmp_path, monkeypatch):
     workspace = archived_small.copy(tmp_path / "workspace")
     monkeypatch.chdir(workspace.folder)
-    publish.main("--drop", "evaluate@block_push-gcbc")
+    publish.publish([], [], ["evaluate@block_push-gcbc"])
     archive = workspace.folder / ARCHIVE
     assert not list(archive.rglob("*block_push/gcbc*"))
     assert not_run(archive) - not_run(workspace.folder / "reports") == {("block_push", "gcbc")}
-    line = refused(workspace, monkeypatch, "--drop", "evaluate@block_push-gcbc")
+    line = refused(workspace, monkeypatch, drop=["evaluate@block_push-gcbc"])
     assert line.startswith(f"--drop evaluate@block_push-gcbc: {ARCHIVE} has evaluate@block_push-c_beso, ")
     assert "study@samplers_block_push is of cell block_push-c_beso, which is not archived" in refused(
-        workspace, monkeypatch, "--drop", "evaluate@block_push-c_beso"
+        workspace, monkeypatch, drop=["evaluate@block_push-c_beso"]
     )
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("names", "options", "message"),
     [
-        (("moon",), "'moon' is neither an environment nor one of evaluate@block_push-gcbc, "),
-        (("--weights", "sac"), "--weights sac: params.yaml has the methods gcbc, "),
-        (("--drop", "moon"), f"--drop moon: {ARCHIVE} has evaluate@block_push-gcbc, "),
+        (("moon",), {}, "'moon' is neither an environment nor one of evaluate@block_push-gcbc, "),
+        ((), {"weights": ["sac"]}, "--weights sac: params.yaml has the methods gcbc, "),
+        ((), {"drop": ["moon"]}, f"--drop moon: {ARCHIVE} has evaluate@block_push-gcbc, "),
     ],
 )
-def test_unknown_names_are_one_line(archived, monkeypatch, arguments, message):
-    assert refused(archived, monkeypatch, *arguments).startswith(message)
+def test_unknown_names_are_one_line(archived, monkeypatch, names, options, message):
+    assert refused(archived, monkeypatch, *names, **options).startswith(message)
+
+
+def test_an_archive_that_a_kill_left_under_another_name_is_put_back(tmp_path, capsys):
+    """Between the two renames of beso.files.replacing."""
+    number = subprocess.run(["sh", "-c", "echo $$"], capture_output=True, text=True).stdout.strip()  # of a dead process
+    left = [tmp_path / f".smoke.{number}.{kind}" for kind in ("old", "partial")]
+    for folder in (*left, tmp_path / ".smoke.1.partial"):
+        folder.mkdir()
+        (folder / "rows").write_text(folder.name)
+    publish.recover(tmp_path / "smoke")
+    assert (tmp_path / "smoke/rows").read_text() == left[0].name
+    assert "put back" in capsys.readouterr().out
+    left[0].mkdir()
+    publish.recover(tmp_path / "smoke")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".smoke.1.partial", "smoke"], "of the living, nothing"
 
 
 def test_archives_without_records_are_refused(archived, tmp_path, monkeypatch):
@@ -191,9 +207,9 @@ def test_a_clone_watches_the_archive_without_the_run(archived, tmp_path):
         shutil.rmtree(workspace.folder / folder)
     (workspace.folder / "params.yaml").unlink()
     for environment in ("block_push", "calvin"):
-        workspace.python("-m", "pipeline.watch", environment, "c_beso", "--run", ARCHIVE, "--episode", "1")
+        workspace.beso("watch", f"{environment}-c_beso", "--run", ARCHIVE, "--episode", "1")
         assert (workspace.folder / "watch.webm").stat().st_size > 1000
         (workspace.folder / "watch.webm").unlink()
-    done = workspace.python("-m", "pipeline.watch", "block_push", "gcbc", "--run", ARCHIVE, check=False)
+    done = workspace.beso("watch", "block_push-gcbc", "--run", ARCHIVE, check=False)
     assert done.returncode == 1
     assert f"{ARCHIVE}/models/block_push/gcbc/seed1.safetensors was not archived: {ARCHIVE}/" in done.stdout

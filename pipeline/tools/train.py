@@ -1,27 +1,25 @@
-"""`python -m pipeline.tools.train_cells --out FOLDER` trains cells of params.yaml where little else is installed.
+"""`beso train` trains cells of params.yaml where little else is installed.
 
-For a rented GPU machine: it needs torch, numpy, safetensors, tqdm and ruamel.yaml (C-BeT also scikit-learn), this
-repository, params.yaml, and data/play/ENV of the cells' environments; no DVC and no simulator. When its time is over it
-saves what is unfinished; the same command continues. In the folder are, for every seed,
+For a rented GPU machine, or by hand: it needs torch, numpy, safetensors, tqdm, click and ruamel.yaml (C-BeT also
+scikit-learn), this repository, params.yaml, and data/play/ENV of the cells' environments; no DVC and no simulator. When
+its time is over it saves what is unfinished; the same command continues. In the folder are, for every seed,
 
     ENV/METHOD/seed1-FINGERPRINT/seed1.safetensors, seed1.json    the model, as in models/ENV/METHOD
     ENV/METHOD/seed1-FINGERPRINT/state.safetensors                unfinished
     ENV/METHOD/seed1-FINGERPRINT/curve.csv                        losses by step
 
 where the fingerprint covers parameters, data, code, device and torch. Students find their teachers in models/, where
-this puts those that are missing there and finished in the folder. `python -m pipeline.tools.import_cells FOLDER` brings
-them back to where DVC is.
+this puts those that are missing there and finished in the folder. `beso evaluate` and `beso watch` take models from the
+folder; `beso import` brings them back to where DVC is.
 """
 
-import argparse
 import csv
 import dataclasses
 import io
 import json
-import math
 import shutil
-import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from safetensors import safe_open
@@ -34,38 +32,38 @@ from beso.files import write_text
 from beso.training_config import TrainingJob
 from pipeline import paths, pool, scratch
 from pipeline.cells.training import STATE, cell_jobs, identity, teacher_folder, train_seeds
-from pipeline.params import Params, load
-from pipeline.stage import guard
+from pipeline.params import Cell, Params, load
 
 
-def main(*arguments: str) -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m pipeline.tools.train_cells", description="train cells of params.yaml"
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder of models, states and curves")
-    parser.add_argument("--cells", nargs="+", metavar="CELL", help="as in params.yaml, in this order; default: all")
-    parser.add_argument("--seeds", nargs="+", type=int, metavar="SEED", help="default: all of params.yaml")
-    parser.add_argument("--hours", type=float, default=math.inf, help="stop after so many hours")
-    options = parser.parse_args(arguments)
-    until = time.monotonic() + 3600 * options.hours
+def train_cells(cells: Sequence[str], seeds: Sequence[int], hours: float, out: Path) -> None:
+    """Train cells one after another, in this order.
+
+    Args:
+        cells, seeds: none means all of params.yaml.
+        hours: after so many it stops.
+        out: folder of models, states and curves.
+
+    Raises:
+        UserError: params.yaml lacks a cell or a seed; or as `train`.
+    """
+    until = time.monotonic() + 3600 * hours
     params = load()
-    cells = options.cells or list(params.cells)
-    chosen = {cell: _jobs(params, cell, options.seeds) for cell in cells}
+    chosen = {cell: choose(params, cell, seeds) for cell in cells or params.cells}
     for cell, jobs in chosen.items():
-        if not train(params, cell, jobs, options.out, until):
+        if not train(params, cell, jobs, out, until):
             print(f"time is over in {cell}; the same command continues")
             return
-    print(f"all trained: {', '.join(cells)}")
+    print(f"all trained: {', '.join(chosen)}")
 
 
-def _jobs(params: Params, cell: str, seeds: list[int] | None) -> list[TrainingJob]:
+def choose(params: Params, cell: str, seeds: Sequence[int]) -> list[TrainingJob]:
+    """The trainings of some seeds of a cell, or of all. Raises UserError if params.yaml lacks one."""
     of = params.cell_named(cell)
-    jobs = cell_jobs(params, of.env, of.method)
-    known = [job.seed for job in jobs]
-    for seed in seeds or ():
-        if seed not in known:
-            raise UserError(f"{cell} has no seed {seed} in params.yaml: {', '.join(map(str, known))} are there")
-    return [job for job in jobs if seeds is None or job.seed in seeds]
+    jobs = {job.seed: job for job in cell_jobs(params, of.env, of.method)}
+    for seed in seeds:
+        if seed not in jobs:
+            raise UserError(f"{cell} has no seed {seed} in params.yaml: {', '.join(map(str, jobs))} are there")
+    return [job for seed, job in jobs.items() if not seeds or seed in seeds]
 
 
 def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: float) -> bool:
@@ -100,6 +98,23 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
         if not done:
             return False
     return True
+
+
+def cell_folder(folder: Path, cell: Cell) -> Path:
+    """Where a run, an archive, a folder of models or one of `beso train` has those of a cell."""
+    of_run = folder / paths.models(cell.env, cell.method)
+    return of_run if of_run.is_dir() else folder / cell.env / cell.method
+
+
+def finished(folder: Path, params: Params, name: str, seeds: Sequence[int]) -> dict[int, Path]:
+    """The folder of each finished model of a cell, by seed. Raises UserError if one is not there, or as `choose`."""
+    cell, jobs = params.cell_named(name), choose(params, name, seeds)
+    digest = play.data_digest(play.load(paths.play(cell.env), envs.spec(cell.env)))
+    found = {job.seed: find_finished(cell_folder(folder, cell), job, digest) for job in jobs}
+    missing = [seed for seed, path in found.items() if path is None]
+    if missing:
+        raise UserError(f"{folder} has no model of {name}, seed {missing[0]}: train it first, or name another folder")
+    return {seed: path for seed, path in found.items() if path}
 
 
 def find_finished(trained: Path, job: TrainingJob, digest: str) -> Path | None:
@@ -142,7 +157,3 @@ def _csv(rows: list[dict[str, float]]) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
-
-
-if __name__ == "__main__":
-    guard(main, *sys.argv[1:])

@@ -1,16 +1,15 @@
-"""`python -m pipeline.tools.training_speed --cells CELL ...` measures how fast cells train on this machine.
+"""`beso bench training CELL ...` measures how fast cells train on this machine.
 
-It takes what `pipeline.tools.train_cells` takes, and no more: a GPU machine may lack the rest. Every cell is measured
+It takes what `beso train` takes, and no more: a GPU machine may lack the rest. Every cell is measured
 in each precision, on a GPU with and without a CUDA graph, one seed alone and several in one process. A rate counts the
 updates of all of them together: the median of blocks, quartiles in brackets.
 """
 
-import argparse
 import gc
 import itertools
 import platform
-import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -26,21 +25,23 @@ from beso.training_config import TrainingJob
 from pipeline import paths
 from pipeline.cells.training import cell_jobs, teacher_folder
 from pipeline.params import Params, load
-from pipeline.stage import guard
 
 WARM_UP = 5  # updates before the clock starts: libraries set themselves up, a graph is recorded
 BLOCKS = 5
 
 
-def main(*arguments: str) -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m pipeline.tools.training_speed", description="measure training on this machine's device"
-    )
-    parser.add_argument("--cells", nargs="+", required=True, metavar="CELL", help="as in params.yaml")
-    parser.add_argument("--seeds-together", nargs="+", type=int, default=[1], help="in one process (default: 1)")
-    parser.add_argument("--precision", nargs="+", default=["fp32", "bf16"], choices=["fp32", "bf16"])
-    parser.add_argument("--seconds", type=float, default=2.0, help="a measurement, about (default: 2)")
-    options = parser.parse_args(arguments)
+def bench(
+    cells: Sequence[str], seeds_together: Sequence[int], precisions: Sequence[Literal["fp32", "bf16"]], seconds: float
+) -> None:
+    """Print a Markdown table.
+
+    Args:
+        seeds_together: numbers of seeds in one process.
+        seconds: a measurement takes about so long.
+
+    Raises:
+        UserError: params.yaml lacks a cell, or there are no play data of it.
+    """
     torch.set_num_threads(1)
     params = load()
     device = pick_device(params.machine.device)
@@ -49,11 +50,11 @@ def main(*arguments: str) -> None:
     print("| cell | batch | precision | graph | seeds | updates/s | samples/s | peak memory, MiB |")
     print("|---|---|---|---|---|---|---|---|")
     graphs = (False, True) if device.type == "cuda" else (False,)
-    for cell in options.cells:
+    for cell in cells:
         of = params.cell_named(cell)
         job = cell_jobs(params, of.env, of.method)[0]
-        for precision, graph, seeds in itertools.product(options.precision, graphs, options.seeds_together):
-            rates, memory = _measure(params, cell, _endless(job, precision), device, graph, seeds, options.seconds)
+        for precision, graph, seeds in itertools.product(precisions, graphs, seeds_together):
+            rates, memory = _measure(params, cell, _endless(job, precision), device, graph, seeds, seconds)
             low, median, high = np.percentile(rates, [25, 50, 75])
             batch = job.config.optimization.batch_size
             print(
@@ -97,7 +98,3 @@ def _measure(
     block = max(1, round(WARM_UP * seconds / BLOCKS / updates_in(WARM_UP)))
     rates = [block * seeds / updates_in(block) for _ in range(BLOCKS)]
     return rates, torch.cuda.max_memory_allocated() // 2**20 if device.type == "cuda" else "-"
-
-
-if __name__ == "__main__":
-    guard(main, *sys.argv[1:])

@@ -1,5 +1,6 @@
 """Training where little is installed, and bringing the models back."""
 
+import math
 import os
 import shutil
 import subprocess
@@ -14,7 +15,9 @@ from beso.data import play
 from beso.errors import UserError
 from pipeline import cells, params, paths, profile
 from pipeline.cells.training import train_cell
-from pipeline.tools import import_cells, publish, train_cells, training_speed
+from pipeline.tools import bench_training, publish
+from pipeline.tools.import_cells import import_cells
+from pipeline.tools.train import train_cells
 
 ROOT = Path(__file__).parents[3]
 CELL = "block_push-c_beso"
@@ -49,8 +52,8 @@ def models(folder):
     return {path.name: path.read_bytes() for path in Path(folder).rglob("seed*") if path.is_file()}
 
 
-def run(*arguments):
-    train_cells.main("--out", "trained", "--cells", CELL, *arguments)
+def run(*cells, seeds=(), hours=math.inf):
+    train_cells(cells or (CELL,), seeds, hours, Path("trained"))
 
 
 def test_it_runs_where_little_is_installed(place):
@@ -58,9 +61,10 @@ def test_it_runs_where_little_is_installed(place):
 import sys
 for name in {ABSENT}:
     sys.modules[name] = None
-from pipeline.tools.train_cells import main
-main("--out", "trained", "--cells", "{CELL}")
+from pipeline.cli import cli
+cli(["train", "{CELL}"])
 """
+    (place / "dvc.yaml").touch()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=place, env=environment, capture_output=True, text=True, check=False
@@ -72,11 +76,11 @@ main("--out", "trained", "--cells", "{CELL}")
 def test_a_package_that_one_method_needs_is_named(place, monkeypatch):
     monkeypatch.setitem(sys.modules, "sklearn.cluster", None)
     with pytest.raises(UserError, match=r"block_push-c_bet needs the package sklearn.*: install it, or leave"):
-        train_cells.main("--out", "trained", "--cells", "block_push-c_bet")
+        run("block_push-c_bet")
 
 
 def test_what_time_cuts_off_continues_to_the_stages_bytes(place, capsys):
-    run("--hours", "0")
+    run(hours=0)
     assert "time is over in block_push-c_beso" in capsys.readouterr().out
     (state,) = Path("trained").rglob("state.safetensors")
     assert (state.parent / "curve.csv").read_text().startswith("step,training_loss,")
@@ -91,14 +95,14 @@ def test_what_time_cuts_off_continues_to_the_stages_bytes(place, capsys):
 
 def test_unknown_cells_and_seeds_are_refused(place):
     with pytest.raises(UserError, match=r"has no cell x: block_push-gcbc"):
-        train_cells.main("--out", "trained", "--cells", "x")
+        run("x")
     with pytest.raises(UserError, match=r"block_push-c_beso has no seed 99 in params.yaml"):
-        run("--seeds", "99")
+        run(seeds=(99,))
 
 
 def test_the_stage_takes_what_was_brought_back(place, monkeypatch, capsys):
     run()
-    import_cells.main("trained")
+    import_cells(Path("trained"))
     assert capsys.readouterr().out.endswith(f"{CELL}: all seeds\n")
     monkeypatch.setattr(cells.training, "Training", None)  # nothing is trained
     train_cell(params.load(), "block_push", "c_beso")
@@ -114,7 +118,7 @@ def test_models_of_an_archive_are_taken_as_trained(place, monkeypatch, capsys):
     shutil.move("models", "archive/models")
     Path("archive/models/block_push/gcbc").mkdir()
     shutil.copy("archive/models/block_push/c_beso/seed1.json", "archive/models/block_push/gcbc")  # no weights
-    import_cells.main("archive")
+    import_cells(Path("archive"))
     said = capsys.readouterr().out
     assert "archive/models/block_push/c_beso: taken; it does not tell which state of beso/ trained it\n" in said
     assert f"{CELL}: all seeds\n" in said
@@ -123,53 +127,53 @@ def test_models_of_an_archive_are_taken_as_trained(place, monkeypatch, capsys):
     train_cell(params.load(), "block_push", "c_beso")
     assert models("models") == kept
     shutil.rmtree("data")
-    import_cells.main("archive")
+    import_cells(Path("archive"))
     assert f"{CELL}: data/play/block_push is not a play dataset" in capsys.readouterr().out
 
 
 def test_students_learn_from_the_teacher_beside_them(place, capsys):
-    student, seed = "block_push-c_beso_one_step", ("--seeds", "1")
+    student = "block_push-c_beso_one_step"
     with pytest.raises(UserError, match=r"models/block_push/c_beso/seed1.json is missing: train this model first"):
-        train_cells.main("--out", "trained", "--cells", student, *seed)
-    train_cells.main("--out", "trained", "--cells", CELL, student)
+        run(student, seeds=(1,))
+    run(CELL, student)
     teacher = models("models")
     assert teacher == models("trained/block_push/c_beso")
     for path in Path("models").rglob("seed2*"):
         path.unlink()
-    train_cells.main("--out", "trained", "--cells", student)
+    run(student)
     assert models("models") == teacher, "a missing seed is brought too"
     shutil.rmtree("models")
-    import_cells.main("trained")
+    import_cells(Path("trained"))
     assert f"{student}: models/block_push/c_beso/seed1.json is missing: train" in capsys.readouterr().out
     train_cell(params.load(), "block_push", "c_beso")
-    import_cells.main("trained")
+    import_cells(Path("trained"))
     assert f"{student}: all seeds" in capsys.readouterr().out
 
 
 def test_the_speed_of_training_is_a_table(place, capsys):
-    training_speed.main("--cells", CELL, "--seeds-together", "1", "2", "--precision", "fp32", "--seconds", "0.05")
+    bench_training.bench([CELL], [1, 2], ["fp32"], 0.05)
     rows = capsys.readouterr().out.splitlines()[3:]
     assert [row.split(" | ")[4] for row in rows] == ["1", "2"]
     assert all(float(row.split(" | ")[5].split()[0]) > 0 for row in rows)
     with pytest.raises(UserError, match=r"has no cell x: block_push-gcbc"):
-        training_speed.main("--cells", "x")
+        bench_training.bench(["x"], [1], ["fp32"], 0.05)
 
 
 def test_other_parameters_data_and_code_are_told(place, monkeypatch, capsys):
     run()
     text = Path("params.yaml").read_text()
     Path("params.yaml").write_text(text.replace("train_fraction: 0.", "train_fraction: 0.1"))
-    import_cells.main("trained")
+    import_cells(Path("trained"))
     assert "of other parameters\nblock_push-c_beso: dvc repro would train seeds 1, 2 here" in capsys.readouterr().out
 
     Path("params.yaml").write_text(text)
     (folder,) = Path("trained/block_push/c_beso").glob("seed1-*")
     folder.rename(folder.with_name("seed1-0123456789abcdef"))
-    import_cells.main("trained")
+    import_cells(Path("trained"))
     assert "taken, but beso/ has changed since" in capsys.readouterr().out
 
     changed = random_play(envs.spec("block_push"))
     changed.actions[0] = 0
     play.save(changed, paths.play("block_push"))
-    import_cells.main("trained")
+    import_cells(Path("trained"))
     assert "of other play data\n" in capsys.readouterr().out

@@ -1,0 +1,272 @@
+"""The command `beso`: what a person asks of this project. dvc.yaml calls the scripts in stages/ instead.
+
+A command's code is imported when it is called, so that `beso --help` answers at once. Every command works in the
+repository's root, from wherever in it was called; paths mean what they mean there, and `~` the home.
+"""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from beso.errors import UserError
+from pipeline.stage import guard
+
+MARK = "dvc.yaml"  # of the repository's root
+
+
+def find_root() -> Path | None:
+    """The folder with dvc.yaml: the current one, or the nearest above it."""
+    here = Path.cwd()
+    return next((folder for folder in (here, *here.parents) if (folder / MARK).is_file()), None)
+
+
+class Command(click.Command):
+    """Runs in the repository's root; a user's mistake is one line and exit code 1."""
+
+    def invoke(self, ctx: click.Context) -> None:
+        """Called by click once the arguments are read."""
+        guard(self._in_root, ctx)
+
+    def _in_root(self, ctx: click.Context) -> None:
+        root = find_root()
+        if root is None:
+            raise UserError(f"neither {Path.cwd()} nor a folder above it has {MARK}: go to the repository (`cd`)")
+        os.chdir(root)
+        super().invoke(ctx)
+
+
+class Group(click.Group):
+    """Commands in the order in which they are defined."""
+
+    command_class = Command
+    group_class = type
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Called by click for the help."""
+        return list(self.commands)
+
+
+class At(click.ParamType):
+    """A path, seen from the root, as defaults are. With `maybe`, what is no path that exists stays as it is."""
+
+    name = "path"
+
+    def __init__(self, maybe: bool = False) -> None:
+        self.maybe = maybe
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Called by click for what was given, and for the default."""
+        if isinstance(value, Path):
+            return value
+        path = Path(value).expanduser()
+        if self.maybe and not path.exists():
+            return value
+        seen = path if path.is_absolute() else Path(os.path.relpath(path, find_root() or "."))
+        return str(seen) if self.maybe else seen
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+        """Called by click for the shell."""
+        return click.Path().shell_complete(ctx, param, incomplete)
+
+
+CELL = click.argument("cell")
+CELLS = click.argument("cells", nargs=-1, metavar="[CELL]...")
+MODELS = click.option(
+    "--models",
+    type=At(),
+    default=Path("models"),
+    show_default=True,
+    help="Folder of a run's models, or of `beso train`'s.",
+)
+
+
+@click.group(cls=Group, context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]})
+def cli() -> None:
+    """Goal-conditioned imitation learning with score-based diffusion policies (BESO), reproduced.
+
+    A CELL is a method in an environment, named as in params.yaml: block_push-c_beso. A STAGE is one of dvc.yaml, all
+    its cells (train) or one (train@block_push-c_beso).
+
+    \b
+    All of it:             beso run -j 2
+    One policy by hand:    beso run trials@block_push
+                           beso train block_push-c_beso --seed 1
+                           beso evaluate block_push-c_beso --seed 1 --models trained
+                           beso watch block_push-c_beso --models trained
+    """
+
+
+@cli.command()
+@click.option("-j", "--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Stages at a time.")
+@click.argument("stages", nargs=-1, metavar="[STAGE]...")
+def run(stages: Sequence[str], jobs: int) -> None:
+    """Bring stages up to date, several at a time.
+
+    As `dvc repro` does one after another: these stages and what they need; without a STAGE, all.
+    """
+    from pipeline.run import run
+
+    run(stages, jobs)
+
+
+@cli.command()
+@click.argument("name")
+def profile(name: str) -> None:
+    """Write params.yaml anew from profiles/NAME."""
+    from pipeline.profile import main
+
+    main(name)
+
+
+@cli.command()
+def check() -> None:
+    """Check params.yaml."""
+    from pipeline.params import PATH, load
+
+    params = load()
+    print(f"{PATH}: profile {params.profile}, {len(params.cells)} cells, {len(params.studies)} studies, valid")
+
+
+@cli.command()
+@CELLS
+@click.option("--seed", "seeds", type=int, multiple=True, help="Of params.yaml; repeat it for several. Default: all.")
+@click.option("--hours", type=float, default=float("inf"), help="Stop then; the same command continues.")
+@click.option(
+    "--out", type=At(), default=Path("trained"), show_default=True, help="Folder of models, states and curves."
+)
+def train(cells: Sequence[str], seeds: Sequence[int], hours: float, out: Path) -> None:
+    """Train cells into a folder, without DVC or a simulator.
+
+    Without a CELL, all of params.yaml are meant. Play data come from `beso run collect` (or `features`).
+    """
+    from pipeline.tools.train import train_cells
+
+    train_cells(cells, seeds, hours, out)
+
+
+@cli.command()
+@CELL
+@MODELS
+@click.option("--seed", "seeds", type=int, multiple=True, help="Trained model; repeat it for several. Default: all.")
+@click.option("--rows", type=At(), help="File for the episodes, a row each (CSV).")
+def evaluate(cell: str, models: Path, seeds: Sequence[int], rows: Path | None) -> None:
+    """Play the evaluation's episodes and print means.
+
+    The episodes come from `beso run trials`.
+    """
+    from pipeline.tools.evaluate import evaluate
+
+    evaluate(cell, seeds, models, rows)
+
+
+@cli.command()
+@CELL
+@MODELS
+@click.option("--seed", type=int, default=1, show_default=True, help="The trained model.")
+@click.option("--episode", type=click.IntRange(min=0), default=0, show_default=True, help="Its number.")
+@click.option("--run", type=At(), default=Path(), help="A run's folder, like reports/published/cpu. Default: this one.")
+@click.option("--film", type=At(), default="watch.webm", show_default=True, help="File to write.")
+def watch(cell: str, models: Path, seed: int, episode: int, run: Path, film: Path) -> None:
+    """Film an episode of the evaluation: same start, goal and noise."""
+    from pipeline.watch import watch
+
+    watch(cell, seed, episode, models, run, film)
+
+
+@cli.command()
+@click.argument("a", type=At(maybe=True))
+@click.argument("b", type=At(maybe=True))
+@click.option("--markdown", is_flag=True, help="Print a Markdown table.")
+def compare(a: str, b: str, markdown: bool) -> None:
+    """Whether run B's results differ from run A's by more than chance.
+
+    A run is a folder (`.`, reports/published/cpu), a git revision (HEAD), or a folder in a revision (HEAD:FOLDER).
+    """
+    from pipeline.compare import load, report
+
+    print(report((a, b), (load(a), load(b)), markdown))
+
+
+@cli.command()
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--weights", metavar="METHOD", multiple=True, help="Keep this method's weights too. Can be repeated.")
+@click.option("--drop", metavar="NAME", multiple=True, help="Take this out, and add nothing. Can be repeated.")
+def publish(names: Sequence[str], weights: Sequence[str], drop: Sequence[str]) -> None:
+    """Archive what is finished in reports/published/PROFILE.
+
+    A NAME is a stage (evaluate@block_push-c_beso) or an environment, which stands for its cells and studies. Without
+    one, all that is finished is meant.
+    """
+    from pipeline.tools.publish import publish
+
+    publish(names, weights, drop)
+
+
+@cli.command("import")
+@click.argument("folder", type=At())
+def import_(folder: Path) -> None:
+    """Take trained models instead of training them here.
+
+    FOLDER is that of `beso train`, another run, or an archive.
+    """
+    from pipeline.tools.import_cells import import_cells
+
+    import_cells(folder)
+
+
+@cli.command("goal-use")
+@CELL
+def goal_use(cell: str) -> None:
+    """Measure whether a trained policy looks at its goal."""
+    from pipeline.tools.goal_use import goal_use
+
+    goal_use(cell)
+
+
+@cli.group()
+def bench() -> None:
+    """Measure speed and memory on this machine."""
+
+
+@bench.command("policy")
+@CELL
+def bench_policy(cell: str) -> None:
+    """Calls, rollouts and memory of a policy of the paper's size.
+
+    It needs `beso run collect` (or `features`). Close other programs first.
+    """
+    from pipeline.tools.bench_policy import bench
+
+    bench(cell)
+
+
+@bench.command("training")
+@click.argument("cells", nargs=-1, required=True, metavar="CELL...")
+@click.option("--seeds-together", type=int, multiple=True, default=[1], show_default=True, help="Can be repeated.")
+@click.option(
+    "--precision", type=click.Choice(["fp32", "bf16"]), multiple=True, default=["fp32", "bf16"], help="Default: both."
+)
+@click.option("--seconds", type=float, default=2.0, show_default=True, help="A measurement takes about so long.")
+def bench_training(
+    cells: Sequence[str], seeds_together: Sequence[int], precision: Sequence[Any], seconds: float
+) -> None:
+    """Updates a second of cells, as params.yaml has them."""
+    from pipeline.tools.bench_training import bench
+
+    bench(cells, seeds_together, precision, seconds)
+
+
+@bench.command("stages")
+@click.argument("method")
+def bench_stages(method: str) -> None:
+    """Where each stage's cost grows, extrapolated to a larger size."""
+    from pipeline.tools.bench_stages import bench
+
+    bench(method)
+
+
+if __name__ == "__main__":
+    cli(prog_name="beso")

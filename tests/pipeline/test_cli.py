@@ -1,0 +1,98 @@
+"""The command `beso` as its user meets it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from pipeline import cli
+
+ROOT = Path(__file__).parents[2]
+HEAVY = ("torch", "numpy", "pandas", "dvc", "ruamel", "tqdm")
+
+
+def beso(folder, *arguments, code=0):
+    """Both outputs of the command, called in a folder."""
+    command = [sys.executable, "-m", "pipeline.cli", *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    done = subprocess.run(command, cwd=folder, env=environment, check=False, **streams)
+    assert done.returncode == code, done.stdout
+    return done.stdout
+
+
+def commands(group=cli.cli, words=()):
+    for name, command in group.commands.items():
+        yield (*words, name)
+        if hasattr(command, "commands"):
+            yield from commands(command, (*words, name))
+
+
+@pytest.mark.parametrize("words", [(), *commands()], ids=" ".join)
+def test_help_is_complete(words, capsys):
+    cli.cli([*words, "--help"], prog_name="beso", standalone_mode=False)
+    text = capsys.readouterr().out
+    assert text.startswith(f"Usage: {' '.join(('beso', *words))} ")
+    described = text.split("\n\n")[1]
+    assert described.strip()[-1] in ".:"
+    assert described.strip()[:1].isupper()
+    assert not [line for line in text.splitlines() if line.startswith("  ") and line.endswith("...")], (
+        "a first line too long for the list"
+    )
+
+
+def test_help_imports_nothing_heavy():
+    code = f"import sys, pipeline.cli; print([name for name in {HEAVY} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True)
+    assert done.stdout == "[]\n"
+
+
+def test_mistakes_are_told_in_one_line(tmp_path):
+    line = beso(tmp_path, "check", code=1)
+    assert line == f"error: neither {tmp_path} nor a folder above it has dvc.yaml: go to the repository (`cd`)\n"
+    assert "No such command 'fly'" in beso(tmp_path, "fly", code=2)
+    (tmp_path / "dvc.yaml").touch()
+    assert beso(tmp_path, "check", code=1) == "error: params.yaml is missing\n"
+
+
+def test_any_subfolder_and_the_home_will_do(tmp_path, monkeypatch):
+    (tmp_path / "dvc.yaml").touch()
+    below = tmp_path / "some/where"
+    below.mkdir(parents=True)
+    monkeypatch.chdir(below)
+    assert cli.find_root() == tmp_path
+    assert beso(ROOT / "docs", "check").endswith(", valid\n")
+
+    def seen(value, **keywords):
+        return cli.At(**keywords).convert(value, None, None)
+
+    monkeypatch.setenv("HOME", "/at/home")
+    assert seen("film.webm") == Path("some/where/film.webm")
+    assert seen("../../film.webm") == Path("film.webm")
+    assert seen("~/film.webm") == Path("/at/home/film.webm")
+    assert seen(Path("models")) == Path("models"), "a default is the root's"
+    assert seen("HEAD", maybe=True) == "HEAD"
+    assert seen("../where", maybe=True) == "some/where"
+
+
+def test_a_policy_by_hand_acts_as_the_pipelines(finished, tmp_path):
+    """Trained, evaluated and filmed in three commands: the stages' rows."""
+    workspace, cell = finished.copy(tmp_path / "workspace"), "block_push-c_beso"
+    workspace.set("machine.workers", 1)
+    assert workspace.beso("train", cell, "--seed", "1").stdout.endswith(f"all trained: {cell}\n")
+    shown = workspace.beso("evaluate", cell, "--seed", "1", "--models", "trained", "--rows", "rows.csv").stdout
+    made = pd.read_csv(workspace.folder / "results/block_push/c_beso.csv").query("seed == 1")
+    played = pd.read_csv(workspace.folder / "rows.csv")
+    pd.testing.assert_frame_equal(played, made.reset_index(drop=True))
+    part = made[made["goals"] == "training"]
+    told = f"training goals, {len(part)} episodes: Reward {part['reward'].mean():.2f} ("
+    assert told in shown
+    shown = workspace.beso("watch", cell, "--models", "trained").stdout
+    assert f"length {part['length'].iloc[0]}" in shown
+    assert (workspace.folder / "watch.webm").stat().st_size > 1000
+    done = workspace.beso("evaluate", cell, "--models", "nowhere", check=False)
+    assert done.returncode == 1
+    assert done.stdout.splitlines()[-1].startswith(f"error: nowhere has no model of {cell}, seed 1: train it first")
