@@ -116,9 +116,9 @@ def run(stages: Sequence[str], jobs: int) -> None:
 @click.argument("name")
 def profile(name: str) -> None:
     """Write params.yaml anew from profiles/NAME."""
-    from pipeline.profile import main
+    from pipeline.profile import write
 
-    main(name)
+    print("\n".join(write(name)))
 
 
 @cli.command()
@@ -217,6 +217,14 @@ def import_(folder: Path) -> None:
     import_cells(folder)
 
 
+@cli.command()
+def lock() -> None:
+    """Write the versions of this environment's packages to constraints/, which `make setup` installs."""
+    from pipeline.tools.lock import main
+
+    main()
+
+
 @cli.command("goal-use")
 @CELL
 def goal_use(cell: str) -> None:
@@ -257,15 +265,6 @@ def bench_training(
     from pipeline.tools.bench_training import bench
 
     bench(cells, seeds_together, precision, seconds)
-
-
-@bench.command("stages")
-@click.argument("method")
-def bench_stages(method: str) -> None:
-    """Where each stage's cost grows, extrapolated to a larger size."""
-    from pipeline.tools.bench_stages import bench
-
-    bench(method)
 
 
 if __name__ == "__main__":

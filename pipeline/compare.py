@@ -21,12 +21,13 @@ from beso import envs
 from beso.envs.protocol import Metric
 from beso.errors import UserError
 from pipeline import paths
-from pipeline.params import PATH, parse_yaml
+from pipeline.params import PATH
 from pipeline.profile import leaves
 from pipeline.report.comparison import of_cells, verdict
 from pipeline.report.names import value
 from pipeline.report.statistics import PAIRS, Estimate, difference, of_difference, over_seeds
 from pipeline.report.tables import number
+from pipeline.yaml import parse_yaml
 
 COMPARISON = "comparison.csv"
 SHOWN = 10  # parameters that differ, at most
@@ -118,7 +119,7 @@ def _studies(files: Files, params: dict[str, Any]) -> dict[Source, pd.DataFrame]
     """Rows of studies, sampling by sampling."""
     found = {}
     for name, study in (params.get("studies") or {}).items():
-        rows, varied = _csv(files, paths.study(name)), list(study["vary"])
+        rows, varied = _csv(files, Path("results/studies") / f"{name}.csv"), list(study["vary"])
         if rows is not None and {*varied} <= {*rows.columns}:
             for values, part in rows.groupby(varied, sort=False, dropna=False):
                 changes = ", ".join(value(None if pd.isna(v) else v) for v in values)

@@ -33,10 +33,12 @@ class Step:
     Attributes:
         waits_for: names of the steps that it waits for.
         alone: whether it measures time, so that it runs last and alone (`meta: {alone: true}` in dvc.yaml).
+        first: whether all others are planned when it is done (`meta: {first: true}`): few of them may be out of date.
     """
 
     waits_for: set[str]
     alone: bool
+    first: bool
 
 
 def plan(targets: Sequence[str]) -> dict[str, Step]:
@@ -56,7 +58,7 @@ def plan(targets: Sequence[str]) -> dict[str, Step]:
     for stage in stages:
         before = {upstream.addressing for upstream in graph.successors(stage)} & steps.keys()
         if before or stage.addressing in stale:
-            steps[stage.addressing] = Step(before, bool((stage.meta or {}).get("alone")))
+            steps[stage.addressing] = Step(before, *(bool((stage.meta or {}).get(key)) for key in ("alone", "first")))
     behind = dict.fromkeys(steps, 0)
     for name in reversed(steps):
         for upstream in steps[name].waits_for:
@@ -179,9 +181,14 @@ def run(targets: Sequence[str], jobs: int) -> None:
             signal.signal(number, signal.default_int_handler)
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in a script's background, and so would the stages
         signal.signal(signal.SIGINT, lambda *_: None)
-    failed, skipped = execute(todo, jobs, available_workers())
-    if failed:
-        raise UserError(f"failed: {', '.join(failed)}" + (f"; not run: {', '.join(skipped)}" if skipped else ""))
+    done = 0
+    for steps in ({name: step for name, step in todo.items() if step.first}, todo):
+        if done:
+            steps = plan(targets)  # what the first ones wrote decides
+        failed, skipped = execute(steps, jobs, available_workers())
+        if failed:
+            raise UserError(f"failed: {', '.join(failed)}" + (f"; not run: {', '.join(skipped)}" if skipped else ""))
+        done += len(steps)
     if stale := plan(targets):
         raise UserError(f"still out of date: {', '.join(stale)}; something changed meanwhile, run again")
-    print(f"{len(todo)} stages brought up to date")
+    print(f"{done} stages brought up to date")

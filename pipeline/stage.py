@@ -20,20 +20,8 @@ def log_to_stderr() -> None:
     logging.getLogger("beso").setLevel(logging.INFO)
 
 
-def run(main: Callable[..., None], *arguments: str) -> None:
-    """Call `main` with the command line's arguments, as strings. Exit 1 after a user's mistake, 130 after Ctrl-C.
-
-    Args:
-        arguments: names of the positional arguments, for the usage line.
-    """
-    given = sys.argv[1:]
-    if len(given) != len(arguments):
-        _fail("usage: " + " ".join([os.path.basename(sys.argv[0]), *(name.upper() for name in arguments)]), 2)
-    guard(main, *given)
-
-
 def guard(main: Callable[..., Any], *given: Any) -> None:
-    """Call `main` with arguments that it checks itself; exit codes as `run`."""
+    """Call `main` with arguments that it checks itself; exit 1 after a user's mistake, 130 after Ctrl-C."""
     log_to_stderr()
     try:
         main(*given)

@@ -4,16 +4,16 @@ The episode is that of the evaluation: the same start, goal and policy noise. Th
 archived one, which has all that is needed for the policies whose weights it keeps (`beso publish`).
 """
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 from beso import checkpoint
 from beso.errors import UserError
-from pipeline import paths
-from pipeline.cells.evaluation import evaluation_jobs
-from pipeline.cells.film import film_episode
+from pipeline.film import film_episode
+from pipeline.machine import Machine
 from pipeline.params import PATH, load
 from pipeline.tools.train import finished
+from stages.evaluate import evaluation_jobs
 
 
 def watch(name: str, seed: int, episode: int, models: Path, run: Path, film: Path) -> None:
@@ -35,19 +35,13 @@ def watch(name: str, seed: int, episode: int, models: Path, run: Path, film: Pat
     if run == Path():
         folder = finished(models, params, name, [seed])[seed]
     else:
-        folder = run / paths.models(cell.env, cell.method)
+        folder = run / cell.models
         weights = checkpoint.paths(folder, seed)[0]
         if not weights.is_file():
             kept = sorted(map(str, (run / "models").glob("*/*/*.safetensors")))
             raise UserError(f"{weights} was not archived: {', '.join(kept) or 'no weights'} were; others need training")
-    job = evaluation_jobs(params, cell.env, cell.method, params.sampling(cell.env, cell.method))[0]
-    job = dataclasses.replace(
-        job,
-        training=params.job(cell.env, cell.method, seed),
-        data=run / job.data,
-        trials=run / job.trials,
-        models=folder,
-    )
+    (job,) = evaluation_jobs(replace(cell.evaluate, seeds=(seed,)), Machine.load())
+    job = replace(job, data=run / job.data, trials=run / job.trials, models=folder)
     row = film_episode(job, film, episode)
     print(", ".join(f"{key} {value}" for key, value in row.items()))
     print(f"film: {film}")

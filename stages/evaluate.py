@@ -8,14 +8,14 @@ import pandas as pd
 
 from beso.data.play import write_npy
 from beso.envs.protocol import Outcome
-from beso.evaluation_config import Chunk, EvaluationConfig, chunks
+from beso.evaluation_config import Chunk, chunks
 from beso.files import replacing, write_text
 from beso.rollout import EvaluationJob, Row, evaluate
 from pipeline import recipes
 from pipeline.engine import map_jobs, workers
 from pipeline.film import film_cell
 from pipeline.machine import Machine
-from pipeline.recipes import CellPaths, EvaluateRecipe
+from pipeline.recipes import EvaluateRecipe
 
 
 def main(env: str, method: str) -> None:
@@ -28,7 +28,7 @@ def evaluate_cell(recipe: EvaluateRecipe, machine: Machine) -> None:
     A scene is the first raw observation, the goal and the last raw observation. Where there is no list of single tasks
     there are none, and the array is empty.
     """
-    jobs = evaluation_jobs(recipe, recipe.seeds, recipe.sampling, recipe.evaluation, machine)
+    jobs = evaluation_jobs(recipe, machine)
     tasks = recipe.evaluation.tasks or ()
     rows, scenes = play_all(machine, jobs, f"evaluate {recipe.env} {recipe.method}", scenes=len(tasks))
     with replacing(recipe.scenes) as temporary:
@@ -37,22 +37,20 @@ def evaluate_cell(recipe: EvaluateRecipe, machine: Machine) -> None:
     write_text(recipe.episodes, pd.DataFrame(rows).to_csv(index=False))
 
 
-def evaluation_jobs(
-    cell: CellPaths, seeds: Sequence[int], sampling: Any, evaluation: EvaluationConfig, machine: Machine
-) -> list[EvaluationJob]:
+def evaluation_jobs(recipe: EvaluateRecipe, machine: Machine) -> list[EvaluationJob]:
     """One job for each model seed of a cell."""
     return [
         EvaluationJob(
-            environment=cell.env,
-            data=cell.play,
-            trials=cell.trials,
-            models=cell.models,
+            environment=recipe.env,
+            data=recipe.play,
+            trials=recipe.trials,
+            models=recipe.models,
             seed=seed,
-            sampling=sampling,
-            config=evaluation,
+            sampling=recipe.sampling,
+            config=recipe.evaluation,
             device=machine.device,
         )
-        for seed in seeds
+        for seed in recipe.seeds
     ]
 
 

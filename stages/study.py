@@ -14,7 +14,7 @@ from beso.noise import BatchNoise
 from beso.rollout import EvaluationJob
 from pipeline import recipes
 from pipeline.machine import Machine
-from pipeline.recipes import StudyRecipe
+from pipeline.recipes import EvaluateRecipe, StudyRecipe
 from stages.evaluate import evaluation_jobs, play_all
 
 
@@ -34,7 +34,8 @@ def run_study(recipe: StudyRecipe, machine: Machine) -> None:
     labels: list[dict[str, Any]] = []
     for changed, sampling in zip(recipe.changes, recipe.samplings, strict=True):
         label = {**changed, "calls": network_calls(recipe.of, model, sampling, sizes)}
-        of_sampling = evaluation_jobs(recipe, recipe.seeds, sampling, recipe.evaluation, machine)
+        cell = EvaluateRecipe(recipe.env, recipe.method, recipe.of, recipe.seeds, sampling, recipe.evaluation, False)
+        of_sampling = evaluation_jobs(cell, machine)
         jobs += of_sampling
         labels += [label] * len(of_sampling)
     rows, _ = play_all(machine, jobs, f"study {recipe.study}", labels)

@@ -1,15 +1,14 @@
 """Archived runs: what can be archived by itself, the records beside it, and what an archive's folder has."""
 
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from beso.errors import UserError
 from beso.files import read_json
 from pipeline import paths
-from pipeline.params import PATH, Params
+from pipeline.params import PATH, Cell, Params
 from pipeline.profile import leaves
 
 
@@ -20,22 +19,24 @@ class Part:
     Attributes:
         stage: its address in dvc.yaml.
         rows: the file of its rows.
-        keys: of the parameters that its rows depend on, dotted.
-        cell: name of the cell, which for a study is the one that is sampled; None for the fork.
-        env, method: of the cell.
+        parameters: all that its rows depend on, with dotted keys, as they stand in the record beside them.
+        cell: the cell, which for a study is the one that is sampled; None for the fork.
     """
 
     stage: str
     rows: Path
-    keys: tuple[str, ...]
-    cell: str | None = None
-    env: str = ""
-    method: str = ""
+    parameters: dict[str, Any]
+    cell: Cell | None = None
+
+    @property
+    def env(self) -> str:
+        """Its environment; none for the fork."""
+        return self.cell.env if self.cell else ""
 
     @property
     def is_cell(self) -> bool:
         """Whether it is a cell, not a study of one."""
-        return self.stage == f"evaluate@{self.cell}"
+        return self.cell is not None and self.stage == f"evaluate@{self.cell.name}"
 
     @property
     def record(self) -> Path:
@@ -46,34 +47,26 @@ class Part:
 def parts(params: Params) -> dict[str, Part]:
     """All that a run of these parameters can archive, by stage, in the order of the parameters."""
     found: dict[str, Part] = {}
-    keys_of: dict[str, tuple[str, ...]] = {}
     for name, cell in params.cells.items():
-        methods = dict.fromkeys((cell.of, cell.method))
-        own = [f"methods.{m}.{use}.{cell.env}" for m in methods for use in ("train", "sample")]
-        if teacher := params.teacher(cell.env, cell.method):
-            of_teacher = dict.fromkeys((params.cell(cell.env, teacher).of, teacher))
-            own += [f"cells.{name}.source", *(f"methods.{m}.train.{cell.env}" for m in of_teacher)]
-        keys_of[name] = ("seed", f"environments.{cell.env}", f"images.{cell.env}", *own)
-        rows = paths.episodes(cell.env, cell.method)
-        found[f"evaluate@{name}"] = Part(f"evaluate@{name}", rows, keys_of[name], name, cell.env, cell.method)
+        told: dict[str, Any] = {"collect": params.environments[cell.env].collect, "images": params.images.get(cell.env)}
+        told |= {"train": cell.train, "evaluate": replace(cell.evaluate, film=False)}
+        if cell.train.teacher:
+            told["teacher"] = params.cell(cell.env, cell.train.teacher).train
+        found[f"evaluate@{name}"] = Part(f"evaluate@{name}", cell.episodes, _leaves(told), cell)
     for name, study in params.studies.items():
-        cell_name = f"{study.env}-{study.method}"
-        keys = (*keys_of[cell_name], f"studies.{name}")
-        found[f"study@{name}"] = Part(f"study@{name}", paths.study(name), keys, cell_name, study.env, study.method)
-    found["fork"] = Part("fork", paths.FORK, ("seed", "fork"))
+        of_cell = found[f"evaluate@{study.cell.name}"].parameters
+        told = {key: value for key, value in of_cell.items() if not key.startswith("evaluate.")}
+        told |= _leaves({"study": study.recipe})
+        found[f"study@{name}"] = Part(f"study@{name}", study.recipe.rows, told, study.cell)
+    if params.fork:
+        found["fork"] = Part("fork", paths.FORK, _leaves({"seed": params.seed, "fork": params.fork}))
     return found
 
 
-def parameters(values: Any, keys: Iterable[str]) -> dict[str, Any]:
-    """The leaves below some keys of params.yaml; keys that are not there have none."""
-    found: dict[str, Any] = {}
-    for key in keys:
-        inner = values
-        for name in key.split("."):
-            inner = inner.get(name) if isinstance(inner, dict) else None
-        if inner is not None:
-            found |= dict(leaves(inner, key))
-    return json.loads(json.dumps(found))  # as a record has them
+def _leaves(told: dict[str, Any]) -> dict[str, Any]:
+    """The leaves of what stages are told, as JSON has them."""
+    plain = {key: asdict(value) if is_dataclass(value) else value for key, value in told.items()}  # type: ignore[arg-type]
+    return dict(leaves(json.loads(json.dumps(plain))))
 
 
 def held(folder: Path, available: dict[str, Part]) -> list[Part]:
@@ -116,15 +109,16 @@ def check(part: Part, folder: Path, wanted: dict[str, Any]) -> None:
 
 def restricted(params: Params, there: list[Part]) -> Params:
     """The parameters of a run that has these parts alone."""
-    cells = {name: cell for name, cell in params.cells.items() if any(p.is_cell and p.cell == name for p in there)}
+    cells = {part.cell.name: part.cell for part in there if part.cell and part.is_cell}
     stages = {part.stage for part in there}
     for part in there:
-        if part.cell and part.cell not in cells:
-            raise UserError(f"{part.stage} is of cell {part.cell}, which is not archived: add evaluate@{part.cell}")
+        if part.cell and part.cell.name not in cells:
+            raise UserError(
+                f"{part.stage} is of cell {part.cell.name}, which is not archived: add evaluate@{part.cell.name}"
+            )
     return replace(
         params,
-        cells=cells,
+        cells={name: cell for name, cell in params.cells.items() if name in cells},
         studies={name: study for name, study in params.studies.items() if f"study@{name}" in stages},
-        films={name: cell for name, cell in params.films.items() if name in cells},
-        fork=params.fork if "fork" in stages else replace(params.fork, methods={}),
+        fork=params.fork if "fork" in stages else None,
     )

@@ -20,8 +20,8 @@ from beso.data.scaling import Scaling
 from beso.noise import BatchNoise
 from beso.policy import Agent
 from pipeline import paths, profile
-from pipeline.cells.latency import build, time_calls
 from pipeline.pool import available_workers, map_jobs
+from stages.latency import build, time_calls
 
 EPISODES = 100  # played in chunks, over all workers
 STEPS = 20
@@ -44,8 +44,8 @@ def bench(name: str) -> None:
     cell = paper.cell_named(name)
     spec, chunk = envs.spec(cell.env), paper.environments[cell.env].evaluation.chunk
     play.load(paths.play(cell.env), spec)  # missing data is better told now
-    model = paper.methods[cell.method].train[cell.env].model
-    setting = Setting(cell.env, cell.of, model, paper.sampling(cell.env, cell.method))
+    model = cell.train.first.config.model
+    setting = Setting(cell.env, cell.of, model, cell.evaluate.sampling)
     policy, context = build(cell.of, model, setting.sampling, spec.sizes), setting.sampling.context_steps(model.context)
     cores = available_workers()
     count = sum(p.numel() for p in policy.parameters())

@@ -22,9 +22,9 @@ from beso.data import play
 from beso.device import pick_device
 from beso.training import Training
 from beso.training_config import TrainingJob
-from pipeline import paths
-from pipeline.cells.training import cell_jobs, teacher_folder
-from pipeline.params import Params, load
+from pipeline.machine import Machine
+from pipeline.params import load
+from pipeline.recipes import TrainRecipe
 
 WARM_UP = 5  # updates before the clock starts: libraries set themselves up, a graph is recorded
 BLOCKS = 5
@@ -44,17 +44,17 @@ def bench(
     """
     torch.set_num_threads(1)
     params = load()
-    device = pick_device(params.machine.device)
+    device = pick_device(Machine.load().device)
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.processor() or "CPU, one thread"
     print(f"{name}, torch {torch.__version__}")
     print("| cell | batch | precision | graph | seeds | updates/s | samples/s | peak memory, MiB |")
     print("|---|---|---|---|---|---|---|---|")
     graphs = (False, True) if device.type == "cuda" else (False,)
     for cell in cells:
-        of = params.cell_named(cell)
-        job = cell_jobs(params, of.env, of.method)[0]
+        recipe = params.cell_named(cell).train
+        job = recipe.first
         for precision, graph, seeds in itertools.product(precisions, graphs, seeds_together):
-            rates, memory = _measure(params, cell, _endless(job, precision), device, graph, seeds, seconds)
+            rates, memory = _measure(recipe, _endless(job, precision), device, graph, seeds, seconds)
             low, median, high = np.percentile(rates, [25, 50, 75])
             batch = job.config.optimization.batch_size
             print(
@@ -72,12 +72,11 @@ def _endless(job: TrainingJob, precision: Literal["fp32", "bf16"]) -> TrainingJo
 
 
 def _measure(
-    params: Params, cell: str, job: TrainingJob, device: torch.device, graph: bool, seeds: int, seconds: float
+    recipe: TrainRecipe, job: TrainingJob, device: torch.device, graph: bool, seeds: int, seconds: float
 ) -> tuple[list[float], int | str]:
     """Updates a second in each block, and the GPU's peak memory in MiB."""
-    environment, method = params.cells[cell].env, params.cells[cell].method
-    data, spec = paths.play(environment), envs.spec(environment)
-    dataset, teacher = play.load(data, spec), teacher_folder(params, environment, method)
+    data, spec = recipe.play, envs.spec(recipe.env)
+    dataset, teacher = play.load(data, spec), recipe.source if recipe.teacher else None
     if device.type == "cuda":
         gc.collect()  # what was measured before would count
         torch.cuda.empty_cache()

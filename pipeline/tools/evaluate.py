@@ -1,7 +1,7 @@
 """`beso evaluate CELL` plays a cell's evaluation with models from any folder, outside DVC."""
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -9,11 +9,12 @@ import pandas as pd
 from beso import envs
 from beso.errors import UserError
 from beso.files import write_text
-from pipeline.cells.evaluation import evaluation_jobs, play_all
+from pipeline.machine import Machine
 from pipeline.params import load
 from pipeline.report.statistics import over_seeds
 from pipeline.report.tables import number
 from pipeline.tools.train import finished
+from stages.evaluate import evaluation_jobs, play_all
 
 
 def evaluate(name: str, seeds: Sequence[int], models: Path, rows: Path | None) -> None:
@@ -32,11 +33,9 @@ def evaluate(name: str, seeds: Sequence[int], models: Path, rows: Path | None) -
     if rows is not None and not rows.parent.is_dir():
         raise UserError(f"--rows {rows}: must be a file in a folder that exists")
     folders = finished(models, params, name, seeds)
-    jobs = evaluation_jobs(params, cell.env, cell.method, params.sampling(cell.env, cell.method))
-    chosen = [
-        dataclasses.replace(job, models=folders[job.training.seed]) for job in jobs if job.training.seed in folders
-    ]
-    played, _ = play_all(params, chosen, f"evaluate {name}")
+    machine = Machine.load()
+    jobs = evaluation_jobs(replace(cell.evaluate, seeds=tuple(folders)), machine)
+    played, _ = play_all(machine, [replace(job, models=folders[job.seed]) for job in jobs], f"evaluate {name}")
     table, report = pd.DataFrame(played), envs.report(cell.env)
     if rows is not None:
         write_text(rows, table.to_csv(index=False))

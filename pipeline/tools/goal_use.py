@@ -20,7 +20,7 @@ from beso.device import pick_device
 from beso.errors import UserError
 from beso.noise import BatchNoise
 from beso.seeding import torch_generator
-from pipeline import paths
+from pipeline.machine import Machine
 from pipeline.params import load
 
 STEPS = 40  # at the start of a demonstration, where it is not plain yet where it leads
@@ -81,18 +81,16 @@ def goal_use(name: str) -> None:
     """Print the errors of every seed of a cell. Raises UserError if one is not trained, or as `errors`."""
     params = load()
     cell = params.cell_named(name)
-    device, sampling = pick_device(params.machine.device), params.sampling(cell.env, cell.method)
-    spec = envs.spec(cell.env)
-    dataset = play.load(paths.play(cell.env), spec)
-    for seed in params.environments[cell.env].seeds:
-        job, folder = params.job(cell.env, cell.method, seed), paths.models(cell.env, cell.method)
-        checkpoint.check(folder, job)
-        policy = checkpoint.load(folder, seed, sampling, device)
+    device, spec = pick_device(Machine.load().device), envs.spec(cell.env)
+    dataset = play.load(cell.play, spec)
+    for job in cell.train.jobs:
+        checkpoint.check(cell.models, job)
+        policy = checkpoint.load(cell.models, job.seed, cell.evaluate.sampling, device)
         seen = replace(dataset, observations=policy.encode(dataset.observations))
-        draws = torch_generator(params.seed, "goal use", seed, device=device)
+        draws = torch_generator(params.seed, "goal use", job.seed, device=device)
         _, held_out = job.split(len(dataset))
         shape = (spec.goal_window, policy.context, draws)
         for ahead, goals in [(None, "last states"), (AHEAD, f"{AHEAD} steps ahead")]:
             own, other = errors(policy.method, policy.scaling, seen, held_out, *shape, ahead)
             what = f"{own:.4f} with the own goal, {other:.4f} with another's"
-            print(f"{name} seed {seed}, goals {goals}: action error {what}")
+            print(f"{name} seed {job.seed}, goals {goals}: action error {what}")

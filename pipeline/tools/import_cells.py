@@ -15,10 +15,11 @@ from beso.data import play
 from beso.device import pick_device
 from beso.errors import UserError
 from beso.files import replacing
-from pipeline import paths, scratch
-from pipeline.cells.training import cell_jobs, identity
+from pipeline import scratch
+from pipeline.machine import Machine
 from pipeline.params import load
 from pipeline.tools.train import cell_folder, find_finished
+from stages.train import identity
 
 DEVICES = ("cpu", "cuda")  # of trainings elsewhere
 
@@ -26,24 +27,24 @@ DEVICES = ("cpu", "cuda")  # of trainings elsewhere
 def import_cells(folder: Path) -> None:
     """Take what the folder has of params.yaml's cells, and say which seeds. Raises UserError if there is no folder."""
     params = load()
-    device = pick_device(params.machine.device).type
+    device = pick_device(Machine.load().device).type
     if not folder.is_dir():
         raise UserError(f"{folder} is missing: expected the folder that `beso train` wrote, a run or an archive")
     for name, cell in params.cells.items():
         trained = cell_folder(folder, cell)
         if not any(trained.rglob("*.safetensors")):  # an archive keeps the weights of few
             continue
-        jobs = cell_jobs(params, cell.env, cell.method)
+        jobs = cell.train.jobs
         try:
-            digest = play.data_digest(play.load(paths.play(cell.env), envs.spec(cell.env)))
-            targets = [scratch.folder(*identity(params, cell.env, cell.method, job, digest, device)) for job in jobs]
+            digest = play.data_digest(play.load(cell.play, envs.spec(cell.env)))
+            targets = [scratch.folder(*identity(cell.train, job, digest, device)) for job in jobs]
         except UserError as error:  # of play data, or a student's teacher
             print(f"{name}: {error}; then import again")
             continue
         found = {job.seed: find_finished(trained, job, digest) for job in jobs}
         for job, target in zip(jobs, targets, strict=True):
             if source := found[job.seed]:
-                _compare_code(source, [identity(params, cell.env, cell.method, job, digest, d) for d in DEVICES])
+                _compare_code(source, [identity(cell.train, job, digest, d) for d in DEVICES])
                 with replacing(target) as temporary:
                     temporary.mkdir()
                     for path in checkpoint.paths(source, job.seed):

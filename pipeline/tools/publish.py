@@ -30,12 +30,12 @@ from beso.errors import UserError
 from beso.files import read_json, replacing, sha256, write_json, write_text
 from beso.images import encoder
 from pipeline import paths
-from pipeline.params import PATH, Params, load, read_yaml
+from pipeline.params import PATH, Params, load
 from pipeline.report.gather import SUMMARY, summary
 from pipeline.report.page import versions
 from pipeline.report.write import write_tables
 from pipeline.run import plan
-from pipeline.tools.archive import Part, check, held, parameters, parts, restricted
+from pipeline.tools.archive import Part, check, held, parts, restricted
 
 FOLDER = paths.REPORTS / "published"
 LARGEST = 2_000_000  # bytes of a file of weights: git keeps every version for ever
@@ -63,26 +63,25 @@ def drop(part: Part, folder: Path) -> None:
     """Take a part out of an archive's folder."""
     (folder / part.rows).unlink(missing_ok=True)
     (folder / part.record).unlink(missing_ok=True)
-    if part.is_cell:
-        shutil.rmtree(folder / paths.models(part.env, part.method), ignore_errors=True)
-        (folder / paths.curve(part.env, part.method)).unlink(missing_ok=True)
-        (folder / paths.scenes(part.env, part.method)).unlink(missing_ok=True)
+    if part.cell and part.is_cell:
+        shutil.rmtree(folder / part.cell.models, ignore_errors=True)
+        (folder / part.cell.curve).unlink(missing_ok=True)
+        (folder / part.cell.scenes).unlink(missing_ok=True)
 
 
-def add(part: Part, params: Params, folder: Path, record: dict[str, Any], with_weights: bool) -> None:
+def add(part: Part, folder: Path, record: dict[str, Any], with_weights: bool) -> None:
     """Copy a finished part into an archive's folder, in place of what it has of it."""
     drop(part, folder)
     _copy(part.rows, folder)
-    if part.is_cell:
-        _copy(paths.curve(part.env, part.method), folder)
-        if part.cell in params.films and params.environments[part.env].evaluation.tasks:
-            _copy(paths.scenes(part.env, part.method), folder)
-        models = paths.models(part.env, part.method)
-        seeds = params.environments[part.env].seeds
+    if part.cell and part.is_cell:
+        cell, seeds = part.cell, part.cell.train.seeds
+        _copy(cell.curve, folder)
+        if cell.evaluate.film and cell.evaluate.evaluation.tasks:
+            _copy(cell.scenes, folder)
         for seed in seeds:
-            _copy(checkpoint.paths(models, seed)[1], folder)
+            _copy(checkpoint.paths(cell.models, seed)[1], folder)
         if with_weights:
-            weights = checkpoint.paths(models, seeds[0])[0]
+            weights = checkpoint.paths(cell.models, seeds[0])[0]
             halve(weights, folder / weights)
     write_json(folder / part.record, record)
 
@@ -148,14 +147,13 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
     Args:
         weights_of: methods whose weights are to be kept.
     """
-    shown, values = restricted(params, there), read_yaml(PATH)
+    shown = restricted(params, there)
     environments = dict.fromkeys(part.env for part in new if part.env)
     digests = {env: play.data_digest(play.load(paths.play(env), envs.spec(env))) for env in environments}
-    slices = {part: parameters(values, part.keys) for part in there}
     for part in there:
         if part not in new:
             data = {"data": digests[part.env]} if part.env in digests else {}
-            check(part, folder, {"parameters": slices[part], **data})
+            check(part, folder, {"parameters": part.parameters, **data})
     with replacing(folder) as temporary:
         if folder.is_dir():
             shutil.copytree(folder, temporary)
@@ -165,9 +163,11 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
         for environment in set(params.envs) - set(shown.envs):
             drop_environment(environment, temporary)
         for part in new:
-            record = {"parameters": slices[part], "data": digests.get(part.env), "versions": versions()}
-            kept = any((folder / paths.models(part.env, part.method)).glob("*.safetensors"))
-            add(part, params, temporary, record, kept or part.method in weights_of)
+            record = {"parameters": part.parameters, "data": digests.get(part.env), "versions": versions()}
+            kept = part.cell and (
+                part.cell.method in weights_of or any((folder / part.cell.models).glob("*.safetensors"))
+            )
+            add(part, temporary, record, bool(kept))
         for environment in environments:
             add_environment(params, environment, temporary)
         limit_weights(temporary)
@@ -201,8 +201,8 @@ def publish(names: Sequence[str], weights: Sequence[str], dropped: Sequence[str]
     params = load()
     available, folder = parts(params), FOLDER / params.profile
     for method in weights:
-        if method not in params.methods:
-            raise UserError(f"--weights {method}: {PATH} has the methods {', '.join(params.methods)}")
+        if method not in params.labels:
+            raise UserError(f"--weights {method}: {PATH} has the methods {', '.join(params.labels)}")
     recover(folder)
     before = held(folder, available)
     for name in dropped:

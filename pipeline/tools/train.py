@@ -20,6 +20,7 @@ import json
 import shutil
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from safetensors import safe_open
@@ -30,9 +31,10 @@ from beso.device import pick_device
 from beso.errors import UserError
 from beso.files import write_text
 from beso.training_config import TrainingJob
-from pipeline import paths, pool, scratch
-from pipeline.cells.training import STATE, cell_jobs, identity, teacher_folder, train_seeds
+from pipeline import pool, scratch
+from pipeline.machine import Machine
 from pipeline.params import Cell, Params, load
+from stages.train import STATE, identity, train_seeds
 
 
 def train_cells(cells: Sequence[str], seeds: Sequence[int], hours: float, out: Path) -> None:
@@ -58,8 +60,7 @@ def train_cells(cells: Sequence[str], seeds: Sequence[int], hours: float, out: P
 
 def choose(params: Params, cell: str, seeds: Sequence[int]) -> list[TrainingJob]:
     """The trainings of some seeds of a cell, or of all. Raises UserError if params.yaml lacks one."""
-    of = params.cell_named(cell)
-    jobs = {job.seed: job for job in cell_jobs(params, of.env, of.method)}
+    jobs = {job.seed: job for job in params.cell_named(cell).train.jobs}
     for seed in seeds:
         if seed not in jobs:
             raise UserError(f"{cell} has no seed {seed} in params.yaml: {', '.join(map(str, jobs))} are there")
@@ -72,25 +73,23 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
     Raises:
         UserError: the play data are missing, or a package that this method alone needs.
     """
-    environment, method = params.cells[cell].env, params.cells[cell].method
-    data, machine = paths.play(environment), params.machine
-    digest = play.data_digest(play.load(data, envs.spec(environment)))
-    teacher = teacher_folder(params, environment, method)
-    if teacher is not None:
+    recipe, machine = params.cells[cell].train, Machine.load()
+    digest, device = play.data_digest(play.load(recipe.play, envs.spec(recipe.env))), pick_device(machine.device).type
+    if recipe.teacher is not None:
+        teacher = params.cell(recipe.env, recipe.teacher)
         for job in jobs:
-            _bring(params.job(environment, teacher.name, job.seed), out / environment / teacher.name, teacher, digest)
-    device = pick_device(machine.device).type
+            _bring(
+                replace(teacher.train.first, seed=job.seed), out / teacher.env / teacher.method, teacher.models, digest
+            )
     for start in range(0, len(jobs), machine.seeds_together):
         group = jobs[start : start + machine.seeds_together]
-        names = [scratch.fingerprint(*identity(params, environment, method, job, digest, device)) for job in group]
+        names = [scratch.fingerprint(*identity(recipe, job, digest, device)) for job in group]
         folders = [
-            out / environment / method / f"seed{job.seed}-{name}" for job, name in zip(group, names, strict=True)
+            out / recipe.env / recipe.method / f"seed{job.seed}-{name}" for job, name in zip(group, names, strict=True)
         ]
         try:
             # By the pool, for its one torch thread: the order of sums depends on their number.
-            (done,) = pool.map_jobs(
-                train_seeds, [(group, environment, data, machine, folders, teacher, until)], 1, cell
-            )
+            (done,) = pool.map_jobs(train_seeds, [(recipe, group, machine, folders, until)], 1, cell)
         except ModuleNotFoundError as error:
             raise UserError(f"{cell} needs the package {error.name}: install it, or leave this cell out") from None
         for job, folder in zip(group, folders, strict=True):
@@ -102,14 +101,14 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
 
 def cell_folder(folder: Path, cell: Cell) -> Path:
     """Where a run, an archive, a folder of models or one of `beso train` has those of a cell."""
-    of_run = folder / paths.models(cell.env, cell.method)
+    of_run = folder / cell.models
     return of_run if of_run.is_dir() else folder / cell.env / cell.method
 
 
 def finished(folder: Path, params: Params, name: str, seeds: Sequence[int]) -> dict[int, Path]:
     """The folder of each finished model of a cell, by seed. Raises UserError if one is not there, or as `choose`."""
     cell, jobs = params.cell_named(name), choose(params, name, seeds)
-    digest = play.data_digest(play.load(paths.play(cell.env), envs.spec(cell.env)))
+    digest = play.data_digest(play.load(cell.play, envs.spec(cell.env)))
     found = {job.seed: find_finished(cell_folder(folder, cell), job, digest) for job in jobs}
     missing = [seed for seed, path in found.items() if path is None]
     if missing:
