@@ -51,7 +51,7 @@ class Loaded:
     """A trained policy, in evaluation mode.
 
     Attributes:
-        method: the policy, see beso.methods.Policy.
+        method: the policy, see beso.method.BaseMethod.
         scaling: between raw and its own units.
         context: time steps that it sees in rollouts.
         encode: its own encoder, where it was trained with one: frames (B, H, W, 3) -> raw observations (B, O).
@@ -116,11 +116,18 @@ def check(folder: Path, job: TrainingJob) -> None:
         raise UserError(f"{where} is a checkpoint of another configuration: {difference}; train again")
 
 
+def config(folder: Path, seed: int) -> Any:
+    """The Config of a trained model. Raises UserError if its description is missing or damaged."""
+    job = load_description(folder, seed)["job"]
+    where = f"{paths(folder, seed)[1]}: model"
+    return build(methods.load(job["method"]).Config, job["config"]["model"], where)
+
+
 def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded:
     """Rebuild a trained policy.
 
     Args:
-        sampling: how it shall generate actions: the method's Sampling, or None for its default.
+        sampling: how it shall generate actions: the method's Sampling, or None for its own default.
 
     Raises:
         UserError: files are missing or damaged, or the sampling does not fit the model.

@@ -91,8 +91,12 @@ class Policy:
         """
         folder, chosen = Path(folder), pick_device(device)
         name = checkpoint.load_description(folder, seed)["job"]["method"]
-        built = None if sampling is None else build(methods.load(name).Sampling, sampling, "sampling")
-        return cls(checkpoint.load(folder, seed, built, chosen), chosen)
+        kind = methods.sampling(name)
+        if sampling is None:
+            chosen_sampling = kind.default(checkpoint.config(folder, seed))
+        else:
+            chosen_sampling = build(kind, sampling, "sampling")
+        return cls(checkpoint.load(folder, seed, chosen_sampling, chosen), chosen)
 
     def reset(self, goal: np.ndarray, seed: int = 0) -> None:
         """Start an episode.

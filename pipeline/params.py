@@ -465,7 +465,7 @@ def parse(values: Any, where: str) -> Params:
     }
     for name, chosen in params.fork.methods.items():
         module, key = methods.load(name), f"{where}.fork.methods.{name}"
-        sampling = build(module.Sampling, chosen.sample, f"{key}.sample")
+        sampling = build(methods.sampling(name), chosen.sample, f"{key}.sample")
         _fits(build(module.Config, chosen.model, f"{key}.model"), sampling, f"{key}.sample")
     params = dataclasses.replace(params, methods=checked)
     for key, cell in params.cells.items():
@@ -512,7 +512,7 @@ def _method(blocks: dict[str, MethodParams], name: str, of: str, where: str) -> 
     for env, values in block.sample.items():
         key = f"{where}.{name}.sample.{env}"
         whole = values if of == name else merge(blocks[of].sample.get(env), values, key)
-        sample[env] = build(module.Sampling, whole, key)
+        sample[env] = build(methods.sampling(of), whole, key)
         if env in train:
             _fits(train[env].model, sample[env], key)
     return MethodParams(block.label, train, sample)
@@ -553,7 +553,7 @@ def _study(params: Params, study: Study, where: str) -> None:
     whole = dataclasses.asdict(params.sampling(study.env, study.method))
     for combination in itertools.product(*study.vary.values()):
         changed = {**whole, **dict(zip(study.vary, combination, strict=True))}
-        sampling = build(methods.load(study.of).Sampling, changed, where)
+        sampling = build(methods.sampling(study.of), changed, where)
         _fits(params.methods[study.method].train[study.env].model, sampling, where)
 
 

@@ -40,7 +40,7 @@ def samples(method: str, settings: ForkMethod, root_seed: int, updates: int, cou
     module = methods.load(method)
     draws = torch_generator(root_seed, "fork", 0)
     config = build(module.Config, settings.model, f"fork.methods.{method}.model")
-    sampling = build(module.Sampling, settings.sample, f"fork.methods.{method}.sample")
+    sampling = build(methods.sampling(method), settings.sample, f"fork.methods.{method}.sample")
     policy = module.Method(config, sampling, SIZES, draws)
     known = demonstrations(1000, torch_generator(root_seed, "fork", 3)).actions[:, 0]
     policy.prepare(known, integer_seed(root_seed, "fork", 1))

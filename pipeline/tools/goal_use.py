@@ -41,7 +41,7 @@ def errors(
     """Mean squared errors of actions, scaled, with an episode's own states and with the next one's as goal.
 
     Args:
-        policy: see beso.methods.Policy; what it remembers is empty at every step.
+        policy: see beso.method.BaseMethod; what it remembers is empty at every step.
         episodes: which episodes, indices into the dataset.
         goal_window: states in a goal.
         context: time steps that the policy sees.

@@ -21,7 +21,7 @@ def sampling(small_models):
     """sampling(job, changes) -> how the job's method generates actions in these tests."""
 
     def sampling(job, **changes):
-        return build(methods.load(job.method).Sampling, {**small_models[job.method][1], **changes}, "sampling")
+        return build(methods.sampling(job.method), {**small_models[job.method][1], **changes}, "sampling")
 
     return sampling
 

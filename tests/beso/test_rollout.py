@@ -112,7 +112,7 @@ def job(make_dataset, make_job, small_models, spec, tmp_path):
     dataset, training = play.load(tmp_path / "data", spec), make_job("c_beso")
     result = train(training, dataset, spec, CPU, tmp_path / "state")
     checkpoint.save(tmp_path / "models", training, spec.sizes, result, play.data_digest(dataset))
-    sampling = build(methods.load("c_beso").Sampling, small_models["c_beso"][1], "sampling")
+    sampling = build(methods.sampling("c_beso"), small_models["c_beso"][1], "sampling")
     request = TrialRequest("", training.seed, range(8), CONFIG.seed, tmp_path / "data", training.train_fraction, 0)
     made = {
         (goals, training.seed): envs.trial_maker("block_push")(request._replace(goals=goals)) for goals in CONFIG.goals

@@ -310,7 +310,7 @@ import sys
 from beso import methods, training
 from beso.config import build
 methods.load("c_beso"), methods.load("cfg_beso"), methods.load("cx_diff")
-print([name for name in sys.modules if name in ("beso.diffusion.samplers", "beso.diffusion.guidance")])
+print([name for name in sys.modules if name.startswith("beso.sampling")])
 """
     root = Path(beso.__file__).parent.parent
     result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
