@@ -92,7 +92,9 @@ def test_play_data_of_frames_are_memory_mapped_and_name_their_encoder(frames):
 
 def test_play_data_of_frames_of_another_size_are_refused(frames):
     meta = {"finetune": {"frame_size": 40, "encoder": ""}}
-    with pytest.raises(UserError, match=r"observations has shape \(55, 48, 48, 3\), expected \(55, 40, 40, 3\)"):
+    with pytest.raises(
+        UserError, match=r"observations holds uint8 \(55, 48, 48, 3\), expected uint8 \(55, 40, 40, 3\)"
+    ):
         play.check(dataclasses.replace(frames, meta=meta), SPEC, "here")
 
 
