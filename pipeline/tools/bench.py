@@ -18,14 +18,14 @@ import numpy as np
 import torch
 
 from beso import envs, optimizers
-from beso.checkpoint import Loaded
+from beso.checkpoint import LoadedModel
 from beso.data import play
 from beso.data.scaling import Scaling
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.methods import c_beso
 from beso.noise import BatchNoise
-from beso.policy import Agent
+from beso.policy import BatchPolicy
 from beso.training import train
 from beso.training_config import TrainingJob
 from pipeline import paths, profile
@@ -167,7 +167,7 @@ def _play(
     dataset = play.load(paths.play(environment), environment_spec)
     scaling = Scaling.fit(dataset, np.arange(len(dataset)), environment_spec)
     goals = np.repeat(observations[:, None], environment_spec.goal_window, axis=1)
-    agent = Agent(Loaded(policy, scaling, model.window), goals, torch.device("cpu"))
+    agent = BatchPolicy(LoadedModel(policy, scaling, model.window), goals, torch.device("cpu"))
     noise = BatchNoise(count, torch.Generator().manual_seed(0))
     start = time.time()
     for _ in range(steps):

@@ -64,9 +64,9 @@ def errors(
     def rows(array: np.ndarray, wanted: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.array(array[wanted])).to(device)
 
-    observations = scaling.observations(rows(dataset.observations, steps))
-    goals = scaling.goals(rows(dataset.observations, first_of_goal[:, None] + np.arange(goal_window)))
-    actions = scaling.actions(rows(dataset.actions, steps))
+    observations = scaling.scale_observations(rows(dataset.observations, steps))
+    goals = scaling.scale_goals(rows(dataset.observations, first_of_goal[:, None] + np.arange(goal_window)))
+    actions = scaling.scale_actions(rows(dataset.actions, steps))
     start = draws.get_state()
 
     def error(goal: torch.Tensor) -> float:
