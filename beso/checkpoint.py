@@ -25,7 +25,7 @@ from beso.training_config import TrainingJob
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedModel:
     """A trained model.
 
     Attributes:
@@ -47,11 +47,11 @@ def as_they_are(observations: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Loaded:
-    """A trained policy, in evaluation mode.
+class LoadedModel:
+    """A trained model, in evaluation mode, in its own units.
 
     Attributes:
-        method: the policy, see beso.methods.Policy.
+        method: network and acting, see beso.method.BaseMethod.
         scaling: between raw and its own units.
         context: time steps that it sees in rollouts.
         encode: its own encoder, where it was trained with one: frames (B, H, W, 3) -> raw observations (B, O).
@@ -68,7 +68,7 @@ def paths(folder: Path, seed: int) -> tuple[Path, Path]:
     return folder / f"seed{seed}.safetensors", folder / f"seed{seed}.json"
 
 
-def save(folder: Path, job: TrainingJob, sizes: Sizes, trained: Trained, data_digest: str) -> None:
+def save(folder: Path, job: TrainingJob, sizes: Sizes, trained: TrainedModel, data_digest: str) -> None:
     """Write one trained model; the description goes last, so that it is there only when the weights are."""
     weights, description = paths(folder, job.seed)
     with replacing(weights) as temporary:
@@ -116,11 +116,18 @@ def check(folder: Path, job: TrainingJob) -> None:
         raise UserError(f"{where} is a checkpoint of another configuration: {difference}; train again")
 
 
-def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded:
+def config(folder: Path, seed: int) -> Any:
+    """The Config of a trained model. Raises UserError if its description is missing or damaged."""
+    job = load_description(folder, seed)["job"]
+    where = f"{paths(folder, seed)[1]}: model"
+    return build(methods.load(job["method"]).Config, job["config"]["model"], where)
+
+
+def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> LoadedModel:
     """Rebuild a trained policy.
 
     Args:
-        sampling: how it shall generate actions: the method's Sampling, or None for its default.
+        sampling: how it shall generate actions: the method's Sampling, or None for its own default.
 
     Raises:
         UserError: files are missing or damaged, or the sampling does not fit the model.
@@ -153,7 +160,7 @@ def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded
         except ValueError as error:
             raise UserError(f"{description_path}: sampling: {error}") from None
         context = sampling.context_steps(config.context)
-    return Loaded(method.to(device).eval(), Scaling.from_dict(description["scaling"]), context, encode)
+    return LoadedModel(method.to(device).eval(), Scaling.from_dict(description["scaling"]), context, encode)
 
 
 def _first_difference(found: Any, expected: Any, key: str) -> str | None:

@@ -1,4 +1,4 @@
-"""Trained policies in raw units: `Policy` for one episode at a time, `Agent` for a batch of them.
+"""Trained policies in raw units: `Policy` for one episode at a time, `BatchPolicy` for a batch of them.
 
     policy = Policy.load("models/block_push/c_beso", seed=1)
     policy.reset(goal)
@@ -24,8 +24,8 @@ from beso.noise import EpisodeNoise, Noise
 from beso.seeding import generator
 
 
-class Agent:
-    """A policy with the context of a batch of episodes, in raw units.
+class BatchPolicy:
+    """A trained policy with the context of a batch of episodes, in raw units.
 
     Args:
         policy: a trained policy.
@@ -33,11 +33,11 @@ class Agent:
             all observations then, if the policy has an encoder of its own.
     """
 
-    def __init__(self, policy: checkpoint.Loaded, goals: np.ndarray, device: torch.device) -> None:
+    def __init__(self, policy: checkpoint.LoadedModel, goals: np.ndarray, device: torch.device) -> None:
         self.method, self.scaling, self.window, self.device = policy.method, policy.scaling, policy.context, device
         self.encode = policy.encode
         encoded = self.encode(goals.reshape(-1, *goals.shape[2:]))
-        self.goal = self.scaling.goals(self._tensor(encoded.reshape(*goals.shape[:2], -1)))
+        self.goal = self.scaling.scale_goals(self._tensor(encoded.reshape(*goals.shape[:2], -1)))
         self.observations = self.goal[:, :0]  # (B, up to window, O)
         self.actions: torch.Tensor | None = None  # (B, up to window - 1, A)
         self.memory: Memory = {}
@@ -48,7 +48,7 @@ class Agent:
     @torch.inference_mode()
     def act(self, observations: np.ndarray, noise: Noise) -> np.ndarray:
         """(B, observation_size) raw observations -> (B, action_size) raw actions."""
-        current = self.scaling.observations(self._tensor(self.encode(observations)))
+        current = self.scaling.scale_observations(self._tensor(self.encode(observations)))
         self.observations = torch.cat([self.observations, current[:, None]], dim=1)[:, -self.window :]
         if self.actions is None:
             self.actions = current.new_empty(len(current), 0, len(self.scaling.action_low))
@@ -69,9 +69,9 @@ class Agent:
 class Policy:
     """A trained policy that acts in one episode at a time."""
 
-    def __init__(self, loaded: checkpoint.Loaded, device: torch.device) -> None:
+    def __init__(self, loaded: checkpoint.LoadedModel, device: torch.device) -> None:
         self._loaded, self._device = loaded, device
-        self._agent: Agent | None = None
+        self._agent: BatchPolicy | None = None
 
     @classmethod
     def load(
@@ -91,8 +91,12 @@ class Policy:
         """
         folder, chosen = Path(folder), pick_device(device)
         name = checkpoint.load_description(folder, seed)["job"]["method"]
-        built = None if sampling is None else build(methods.load(name).Sampling, sampling, "sampling")
-        return cls(checkpoint.load(folder, seed, built, chosen), chosen)
+        kind = methods.sampling(name)
+        if sampling is None:
+            chosen_sampling = kind.default(checkpoint.config(folder, seed))
+        else:
+            chosen_sampling = build(kind, sampling, "sampling")
+        return cls(checkpoint.load(folder, seed, chosen_sampling, chosen), chosen)
 
     def reset(self, goal: np.ndarray, seed: int = 0) -> None:
         """Start an episode.
@@ -102,7 +106,7 @@ class Policy:
                 encoder.
             seed: of the policy's random numbers in this episode.
         """
-        self._agent = Agent(self._loaded, np.atleast_2d(goal)[None], self._device)
+        self._agent = BatchPolicy(self._loaded, np.atleast_2d(goal)[None], self._device)
         self._noise = EpisodeNoise([generator(seed, "policy noise")], self._device)
 
     def act(self, observation: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from beso.device import pick_device
 from beso.envs.protocol import Outcome, Trial
 from beso.evaluation_config import Chunk, EvaluationConfig
 from beso.noise import EpisodeNoise
-from beso.policy import Agent
+from beso.policy import BatchPolicy
 from beso.seeding import generator
 
 Row = dict[str, Any]
@@ -97,7 +97,7 @@ def evaluate(
 def _play(
     chosen: list[Trial],
     environments: list[gymnasium.Env],
-    policy: checkpoint.Loaded,
+    policy: checkpoint.LoadedModel,
     noise: EpisodeNoise,
     device: Any,
     max_actions: int | None,
@@ -108,7 +108,7 @@ def _play(
     for trial, environment in zip(chosen, environments, strict=False):
         observation, info = environment.reset(seed=trial.seed, options=trial.options)
         outcomes.append(Outcome(0.0, 0, observation, info, info["goal"], observation))
-    agent = Agent(policy, np.stack([outcome.goal for outcome in outcomes]), device)
+    agent = BatchPolicy(policy, np.stack([outcome.goal for outcome in outcomes]), device)
     limits = [min(trial.limit, max_actions or trial.limit) for trial in chosen]
     _show(film, environments[0])
     running = np.arange(len(chosen))

@@ -20,11 +20,11 @@ from torch import Tensor
 from tqdm import tqdm
 
 from beso import checkpoint, cuda_graph, methods, optimizers
-from beso.checkpoint import Trained
+from beso.checkpoint import TrainedModel
 from beso.data.play import PlayDataset
 from beso.data.scaling import Scaling
 from beso.data.spec import PlaySpec
-from beso.data.windows import Windows
+from beso.data.windows import WindowConfig, Windows
 from beso.errors import UserError
 from beso.images import finetuned
 from beso.loop_state import LoopState
@@ -60,10 +60,16 @@ class Training:
         optimization, model = job.config.optimization, job.config.model
         training_episodes, held_out_episodes = job.split(len(dataset))
         self.scaling = Scaling.fit(dataset, training_episodes, spec)
-        shape = (self.scaling, model.window, spec.goal_window, device, model.lookahead, model.goal_at_end)
-        goals = (job.goal_horizon, model.final_goals)
-        self.windows = Windows(dataset, training_episodes, *shape, *goals)
-        held_out = Windows(dataset, held_out_episodes, *shape, *goals)
+        config = WindowConfig(
+            window=model.window,
+            goal_window=spec.goal_window,
+            lookahead=model.lookahead,
+            goal_at_end=model.goal_at_end,
+            goal_horizon=job.goal_horizon,
+            final_goals=model.final_goals,
+        )
+        self.windows = Windows(dataset, training_episodes, self.scaling, config, device)
+        held_out = Windows(dataset, held_out_episodes, self.scaling, config, device)
         self._held_out_batch = held_out.sample(job.validation.windows, self._validation_draws())
 
         # Model, averages, optimizer
@@ -180,11 +186,11 @@ class Training:
         with torch.cuda.stream(self._stream):
             self._loop.save(self._state_path, self.done, self.curve)
 
-    def result(self) -> Trained:
+    def result(self) -> TrainedModel:
         """The model as it is now."""
         with torch.cuda.stream(self._stream):
             weights = {key: value.detach().cpu().contiguous() for key, value in self.averaged.state_dict().items()}
-        return Trained(weights, self.scaling, self.curve, self.encoding)
+        return TrainedModel(weights, self.scaling, self.curve, self.encoding)
 
 
 def side_by_side(
@@ -228,7 +234,7 @@ def train(
     save_seconds: float = 60.0,
     encoder: Path | None = None,
     teacher: Path | None = None,
-) -> Trained:
+) -> TrainedModel:
     """Train one model, continuing from `state_path` where that file exists. Arguments as for `Training`."""
     (finished,) = side_by_side([Training(job, dataset, spec, device, state_path, encoder, teacher)], save_seconds)
     return finished.result()

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from beso.data.play import read_npy, write_npy
+from beso.data import store
 from beso.envs.protocol import Trial
 from beso.errors import UserError
-from beso.files import check_sha256, read_json, replacing, sha256, write_text
+from beso.files import replacing, write_text
 
 Trials = Mapping[tuple[str, int], Sequence[Trial]]  # by goal set and model seed, in the order of their numbers
+DESCRIPTION = "trials.json"
 FIELDS = {"goals": str, "model_seed": int, "number": int, "seed": int, "tasks": list, "limit": int, "labels": dict}
 
 
@@ -38,12 +39,11 @@ def save(trials: Trials, folder: Path) -> None:
         raise ValueError("trials with different options")
     with replacing(folder) as temporary:
         temporary.mkdir()
-        digests = {}
         for name in options[0]:
-            write_npy(temporary / f"{name}.npy", np.stack([option[name] for option in options]))
-            digests[name] = sha256(temporary / f"{name}.npy")
+            store.write_npy(temporary / f"{name}.npy", np.stack([option[name] for option in options]))
+        digests = store.digests(temporary, options[0])
         # Not sorted: the order of labels is that of the rows' columns.
-        write_text(temporary / "trials.json", json.dumps({"sha256": digests, "trials": entries}, indent=1) + "\n")
+        write_text(temporary / DESCRIPTION, json.dumps({"sha256": digests, "trials": entries}, indent=1) + "\n")
 
 
 def load(folder: Path) -> Trials:
@@ -52,14 +52,16 @@ def load(folder: Path) -> Trials:
     Raises:
         UserError: the folder or a file is missing, truncated or altered.
     """
-    path = folder / "trials.json"
-    if not path.is_file():
-        raise UserError(f"{folder} has no trials.json: run `dvc repro trials`")
-    description = read_json(path)
-    entries, digests = description.get("trials"), description.get("sha256")
-    if not (isinstance(entries, list) and isinstance(digests, dict) and entries and all(map(_is_entry, entries))):
-        raise UserError(f"{path} is damaged: it must hold trials, each with {', '.join(FIELDS)}, and sha256")
-    options = {name: _read_option(folder / f"{name}.npy", digest, len(entries)) for name, digest in digests.items()}
+    path = folder / DESCRIPTION
+    missing = "has no trials.json: run `dvc repro trials`"
+    options, description = store.read(folder, None, missing, description=DESCRIPTION)
+    entries = description.get("trials")
+    if not (isinstance(entries, list) and entries and all(map(_is_entry, entries))):
+        raise UserError(f"{path} is damaged: it must hold trials, each with {', '.join(FIELDS)}")
+    for name, array in options.items():
+        if array.shape[:1] != (len(entries),):
+            shape, count = array.shape, len(entries)
+            raise UserError(f"{folder / name}.npy has shape {shape}, expected a row for each of {count} trials")
     trials: dict[tuple[str, int], list[Trial]] = {}
     for i, entry in enumerate(entries):
         of_model = trials.setdefault((entry["goals"], entry["model_seed"]), [])
@@ -72,14 +74,6 @@ def load(folder: Path) -> Trials:
 
 def _is_entry(entry: Any) -> bool:
     return isinstance(entry, dict) and all(type(entry.get(name)) is kind for name, kind in FIELDS.items())
-
-
-def _read_option(path: Path, digest: str, count: int) -> np.ndarray:
-    array = read_npy(path)
-    check_sha256(path, digest, "trials.json")
-    if array.shape[:1] != (count,):
-        raise UserError(f"{path} has shape {array.shape}, expected a row for each of {count} trials")
-    return array
 
 
 def pick(trials: Trials, goals: str, model_seed: int, numbers: Iterable[int]) -> list[Trial]:

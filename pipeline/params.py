@@ -418,7 +418,7 @@ def _cell(entry: CellEntry, environment: EnvironmentParams, inheritance: Inherit
     module = methods.load(entry.of)
     config, layers = inheritance.whole(TrainingConfig, method, "train", env)
     model = build_merged(module.Config, layers, f"{top}.methods.{method}.train.{env}", ("model", config.model))
-    sampling, _ = inheritance.whole(module.Sampling, method, "sample", env)
+    sampling, _ = inheritance.whole(methods.sampling(entry.of), method, "sample", env)
     _fits(model, sampling, f"{top}.methods.{method}.sample.{env}")
     teacher = None if entry.source == str(paths.play(env)) else Path(entry.source).name
     training, seeds = environment.training, environment.seeds
@@ -479,7 +479,7 @@ def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> Stu
     whole, changes, samplings = dataclasses.asdict(cell.evaluate.sampling), [], []
     for combination in itertools.product(*entry.vary.values()):
         changes.append(dict(zip(entry.vary, combination, strict=True)))
-        samplings.append(build(methods.load(entry.of).Sampling, {**whole, **changes[-1]}, where))
+        samplings.append(build(methods.sampling(entry.of), {**whole, **changes[-1]}, where))
         _fits(cell.train.first.config.model, samplings[-1], where)
     evaluation = dataclasses.replace(evaluation, goals=goals, rollouts=entry.rollouts)
     recipe = StudyRecipe(

@@ -208,7 +208,7 @@ def fork_method(name: str, values: ForkMethod, where: str) -> ForkMethod:
     """One method's network and sampling on the fork, checked. Raises UserError if they do not fit."""
     module = methods.load(name)
     model = build(module.Config, values.model, f"{where}.{name}.model")
-    sampling = build(module.Sampling, values.sample, f"{where}.{name}.sample")
+    sampling = build(methods.sampling(name), values.sample, f"{where}.{name}.sample")
     try:
         model.check(sampling)
     except ValueError as error:
@@ -217,4 +217,4 @@ def fork_method(name: str, values: ForkMethod, where: str) -> ForkMethod:
 
 
 def _sampling(of: str, values: Any) -> Any:
-    return build(methods.load(of).Sampling, values, "sampling")
+    return build(methods.sampling(of), values, "sampling")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from beso.data.play import write_npy
+from beso.data.store import write_npy
 from beso.envs.protocol import Outcome
 from beso.evaluation_config import Chunk, chunks
 from beso.files import replacing, write_text

@@ -10,7 +10,7 @@ import pandas as pd
 import torch
 
 from beso import envs
-from beso.data import play
+from beso.data import play, store
 from beso.data.play import PlayDataset
 from beso.device import pick_device, pick_precision
 from beso.files import replacing, sha256, write_text
@@ -52,7 +52,7 @@ def make_features(recipe: EnvironmentRecipe, machine: Machine) -> None:
     features = encode_all(waiting, folder, machine, waiting / "features.npy")
     observations, meta = features, _meta(packed)
     if settings.finetune:
-        observations = play.read_npy(folder / "frames.npy")
+        observations = store.read_npy(folder / "frames.npy")
         meta["finetune"] = {"frame_size": packed.meta["size"], "encoder": sha256(waiting / encoder.DESCRIPTION)}
     dataset = PlayDataset(observations, packed.actions, packed.tasks, packed.episode_ends, meta)
     files = [waiting / encoder.WEIGHTS, waiting / encoder.DESCRIPTION]
@@ -104,8 +104,8 @@ def encode_all(encoder_folder: Path, folder: Path, machine: Machine, target: Pat
     on_gpu = pick_device(machine.device).type != "cpu"  # which one process keeps busy; many would fill its memory
     parts = map_jobs(encode_share, jobs, dataclasses.replace(machine, workers=1) if on_gpu else machine, "features")
     with replacing(target) as temporary:
-        play.write_npy_parts(temporary, (steps, FEATURES), np.float32, parts)
-    return play.read_npy(target)
+        store.write_npy_parts(temporary, (steps, FEATURES), np.float32, parts)
+    return store.read_npy(target)
 
 
 def encode_share(encoder_folder: Path, folder: Path, start: int, stop: int, device: str) -> np.ndarray:

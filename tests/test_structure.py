@@ -24,18 +24,13 @@ MACHINERY |= {Path("beso") / name / "__init__.py" for name in ("envs", "methods"
 
 
 @functools.cache
-def imports(path, within_functions=True):
-    """Project modules that a file imports when it runs, as paths; imports for type checkers alone do not count.
-
-    Args:
-        within_functions: whether imports in functions count.
-    """
+def imports(path):
+    """Project modules that a file imports when it runs, as paths; imports for type checkers alone do not count."""
     tree = ast.parse((ROOT / path).read_text())
     left_out = {
         id(inner)
         for node in ast.walk(tree)
-        if (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
-        or (isinstance(node, ast.FunctionDef) and not within_functions)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
         for inner in ast.walk(node)
     }
     found = set()
@@ -57,13 +52,13 @@ def imports(path, within_functions=True):
     return found
 
 
-def closure(paths, within_functions=True):
+def closure(paths):
     seen, waiting = set(), [Path(p) for p in paths]
     while waiting:
         path = waiting.pop()
         if path not in seen and path not in MACHINERY:
             seen.add(path)
-            waiting += imports(path, within_functions)
+            waiting += imports(path)
     return {p for p in seen if not is_docstring_only(p)}
 
 
@@ -100,7 +95,8 @@ def room(env, *parts):
 def by_name(stage, env, method):
     """What a stage imports by the names in its cell."""
     all_methods = [f"beso/methods/{name}.py" for name in METHODS]
-    played = [f"beso/methods/{method}.py", *room(env, "evaluation.py")]
+    samplings = {name: Path(*methods.sampling(name).__module__.split(".")).with_suffix(".py") for name in METHODS}
+    played = [f"beso/methods/{method}.py", samplings[method], *room(env, "evaluation.py")]
     return {
         "collect": room(env, "spec.py", "demonstrations/*.py"),
         "trials": room(env, "trials.py"),
@@ -110,8 +106,8 @@ def by_name(stage, env, method):
         "evaluate": played,
         "study": played,
         "film": played,
-        "latency": all_methods,
-        "fork": all_methods,
+        "latency": [*all_methods, *samplings.values()],
+        "fork": [*all_methods, *samplings.values()],
         "tables": [path for name in ENVIRONMENTS for path in room(name, "spec.py", "report.py")],
         "page": [path for name in ENVIRONMENTS for path in room(name, "report.py")],
     }[stage]
@@ -128,15 +124,12 @@ WHOLE = {"trials", "features", "tables", "page", "latency", "fork"}
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_deps_are_what_the_stage_imports(stage):
-    """No cell lacks a dep; no dep is unused by all cells of the stage.
-
-    Training neither acts nor checks samplings, which is where methods import samplers (beso.diffusion.score_policy).
-    """
+    """No cell lacks a dep; no dep is unused by all cells of the stage."""
     used_by_any, environments = set(), IMAGES if stage in OF_IMAGES else ENVIRONMENTS
     for env in environments:
         for method in METHODS:
             entry = [f"stages/{stage}.py", *by_name(stage, env, method)]
-            used = closure(entry, within_functions=stage != "train")
+            used = closure(entry)
             names = declared(stage, env, method)
             assert used - names == set(), "imported, but not among the deps"
             used_by_any |= used
@@ -159,7 +152,7 @@ def stale(path):
 def test_what_an_edit_reruns():
     cells = {f"{stage} {method}" for stage in ("evaluate", "study", "film") for method in ("c_beso", "gcbc")}
     others = {f"{stage} {method}" for stage in ("latency", "fork") for method in ("c_beso", "gcbc")}
-    assert stale("beso/diffusion/samplers.py") == cells | others, "training does not depend on samplers"
+    assert stale("beso/sampling/samplers.py") == cells | others, "training does not depend on samplers"
     report = {f"{stage} {method}" for stage in ("tables", "page") for method in ("c_beso", "gcbc")}
     assert stale("beso/envs/block_push/report.py") == report, "a label reruns the report alone"
     assert stale("pipeline/report/statistics.py") == report
@@ -196,7 +189,6 @@ def test_only_a_few_use_methods_inside_the_library():
         "beso/training.py",
         "beso/checkpoint.py",
         "beso/policy.py",
-        "beso/diffusion/score_policy.py",
     }
 
 

@@ -1,4 +1,4 @@
-"""Play datasets: flat arrays of whole episodes, one after another.
+"""Play datasets: flat arrays of whole episodes, one after another (beso.data.store).
 
     observations.npy   (steps, observation_size)  float32, or frames (steps, size, size, 3) uint8, see below
     actions.npy        (steps, action_size)       float32
@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from beso.data import store
 from beso.data.spec import PlaySpec
+from beso.data.store import Column
 from beso.errors import UserError
-from beso.files import check_sha256, read_json, replacing, sha256, write_json
 
 ARRAYS = ("observations", "actions", "tasks", "episode_ends")
 
@@ -95,90 +95,49 @@ def assemble(episodes: Iterable[Episode], spec: PlaySpec, meta: dict[str, Any]) 
 
 
 def check(dataset: PlayDataset, spec: PlaySpec, where: str) -> None:
-    """Check shapes, lengths and values.
+    """Check shapes, types, lengths and values.
 
     Raises:
         UserError: naming the array, the place and what is wrong with it.
     """
-    steps, size = len(dataset.observations), dataset.frame_size
-    shapes: dict[str, tuple[int, ...]] = {
-        "observations": (steps, spec.observation_size) if size is None else (steps, size, size, 3),
-        "actions": (steps, spec.action_size),
-        "tasks": (steps, len(spec.tasks)),
+    size = dataset.frame_size
+    columns = {
+        "observations": Column((size, size, 3), "uint8") if size else Column((spec.observation_size,), "float32"),
+        "actions": Column((spec.action_size,), "float32"),
+        "tasks": Column((len(spec.tasks),), "uint8"),
     }
-    for name, expected in shapes.items():
-        array = getattr(dataset, name)
-        if array.shape != expected:
-            raise UserError(f"{where}: {name} has shape {array.shape}, expected {expected}")
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
-            step = int(np.argwhere(~np.isfinite(array).all(axis=1))[0, 0])
+    arrays = {name: getattr(dataset, name) for name in ARRAYS}
+    store.check(arrays, columns, where)
+    for name in columns:
+        if arrays[name].dtype.kind == "f" and not np.isfinite(arrays[name]).all():
+            step = int(np.argwhere(~np.isfinite(arrays[name]).all(axis=1))[0, 0])
             raise UserError(f"{where}: {name} has a value that is not finite (NaN or infinity), first at step {step}")
-    ends = dataset.episode_ends
-    if len(ends) == 0 or ends[-1] != steps or (np.diff(ends, prepend=0) <= 0).any():
-        raise UserError(f"{where}: episode_ends does not rise from above 0 to the number of steps, {steps}")
 
 
 def save(dataset: PlayDataset, folder: Path, beside: Iterable[Path] = ()) -> None:
     """Write a dataset as a folder, atomically, with copies of some files beside it."""
-    with replacing(folder) as temporary:
-        temporary.mkdir()
+    meta = {**dataset.meta, "counts": {"episodes": len(dataset), "steps": len(dataset.observations)}}
+    with store.writing(folder, meta) as temporary:
         for name in ARRAYS:
-            write_npy(temporary / f"{name}.npy", getattr(dataset, name))
+            store.write_npy(temporary / f"{name}.npy", getattr(dataset, name))
         for path in beside:
             shutil.copyfile(path, temporary / path.name)
-        counts = {"episodes": len(dataset), "steps": len(dataset.observations)}
-        digests = {name: sha256(temporary / f"{name}.npy") for name in ARRAYS}
-        write_json(temporary / "meta.json", {**dataset.meta, "counts": counts, "sha256": digests})
 
 
-def load(folder: Path, spec: PlaySpec) -> PlayDataset:
+def load(folder: Path, spec: PlaySpec, verify: bool = True) -> PlayDataset:
     """Read and check a dataset; the arrays are memory-mapped.
+
+    Args:
+        verify: compare the SHA-256 of every array, which reads all of it.
 
     Raises:
         UserError: the folder is missing, a file is missing, truncated or altered, or a check fails.
     """
-    if not (folder / "meta.json").is_file():
-        raise UserError(f"{folder} is not a play dataset: it has no meta.json; run `dvc repro collect` first")
-    meta = read_json(folder / "meta.json")
-    digests = meta.get("sha256", {})
-    arrays = {}
-    for name in ARRAYS:
-        arrays[name] = read_npy(folder / f"{name}.npy")
-        check_sha256(folder / f"{name}.npy", digests.get(name), "meta.json")
+    missing = "is not a play dataset: it has no meta.json; run `dvc repro collect` first"
+    arrays, meta = store.read(folder, ARRAYS, missing, verify)
     dataset = PlayDataset(**arrays, meta=meta)
     check(dataset, spec, str(folder))
     return dataset
-
-
-def write_npy(path: Path, array: np.ndarray) -> None:
-    """Write one .npy file; unlike numpy.save, a full disk is reported as such."""
-    write_npy_parts(path, array.shape, array.dtype, [array])
-
-
-def write_npy_parts(path: Path, shape: tuple[int, ...], dtype: npt.DTypeLike, parts: Iterable[np.ndarray]) -> None:
-    """Write one .npy file of this shape, part by part along its first axis."""
-    header = {"descr": np.lib.format.dtype_to_descr(np.dtype(dtype)), "fortran_order": False, "shape": shape}
-    with path.open("wb") as file:
-        np.lib.format.write_array_header_1_0(file, header)
-        for part in parts:
-            file.write(np.ascontiguousarray(part, dtype=dtype).data)
-
-
-def read_npy(path: Path) -> np.ndarray:
-    """Memory-map one .npy file without unpickling anything.
-
-    Raises:
-        UserError: the file is missing, truncated, or not a plain array.
-    """
-    try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-        if not isinstance(array, np.ndarray):
-            raise ValueError("it is an archive of several")
-        return array
-    except FileNotFoundError:
-        raise UserError(f"{path} is missing") from None
-    except (ValueError, EOFError, OSError) as error:
-        raise UserError(f"{path} is truncated or is not a .npy array of numbers ({error})") from None
 
 
 def data_digest(dataset: PlayDataset) -> str:

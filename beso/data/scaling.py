@@ -58,13 +58,13 @@ class Scaling:
         """From JSON."""
         return cls(**{key: tuple(value) for key, value in values.items()})
 
-    def observations(self, raw: Tensor) -> Tensor:
+    def scale_observations(self, raw: Tensor) -> Tensor:
         """(..., observation_size) raw -> (..., visible) z-scored."""
         return (raw[..., list(self.visible)] - raw.new_tensor(self.mean)) / raw.new_tensor(self.std)
 
-    def goals(self, raw: Tensor) -> Tensor:
+    def scale_goals(self, raw: Tensor) -> Tensor:
         """(..., observation_size) raw states -> (..., visible) z-scored goals, masked dimensions zero."""
-        return self.mask_goals(self.observations(raw))
+        return self.mask_goals(self.scale_observations(raw))
 
     def mask_goals(self, scaled: Tensor) -> Tensor:
         """Zero the masked dimensions of scaled states."""
@@ -72,7 +72,7 @@ class Scaling:
         keep[list(self.goal_masked)] = 0
         return scaled * keep
 
-    def actions(self, raw: Tensor) -> Tensor:
+    def scale_actions(self, raw: Tensor) -> Tensor:
         """(..., action_size) raw -> [-1, 1]."""
         low, high = raw.new_tensor(self.action_low), raw.new_tensor(self.action_high)
         return 2 * (raw - low) / (high - low) - 1

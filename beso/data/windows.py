@@ -18,6 +18,7 @@ windows: with `goal_at_end` the window's own last states are its goal, and `look
     future, L = 3                         [f  f  f]              the last state again where the episode is over
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -50,16 +51,31 @@ class Batch(NamedTuple):
     goal_step: Tensor = NOTHING
 
 
-class Windows:
-    """All windows of some episodes of a dataset, resident on one device.
+@dataclass(frozen=True)
+class WindowConfig:
+    """Windows and their goals, in steps; see the module.
 
-    Args:
-        episodes: which episodes, indices into the dataset.
+    Attributes:
         window, goal_window: W and G.
         lookahead: L.
         goal_at_end: the goal is the window's own last states.
         goal_horizon: H, or None for the rest of the episode.
         final_goals: share of windows, below 1, whose goal is the last one possible instead of a uniform one.
+    """
+
+    window: int
+    goal_window: int
+    lookahead: int = 0
+    goal_at_end: bool = False
+    goal_horizon: int | None = None
+    final_goals: float = 0.0
+
+
+class Windows:
+    """All windows of some episodes of a dataset, resident on one device.
+
+    Args:
+        episodes: which episodes, indices into the dataset.
 
     Raises:
         UserError: an episode is too short for a window and a goal.
@@ -70,16 +86,12 @@ class Windows:
         dataset: PlayDataset,
         episodes: np.ndarray,
         scaling: Scaling,
-        window: int,
-        goal_window: int,
+        config: WindowConfig,
         device: torch.device | str = "cpu",
-        lookahead: int = 0,
-        goal_at_end: bool = False,
-        goal_horizon: int | None = None,
-        final_goals: float = 0.0,
     ) -> None:
+        window, goal_window = config.window, config.goal_window
         starts, ends = dataset.episode_starts[episodes], dataset.episode_ends[episodes]
-        goal_room = 0 if goal_at_end else goal_window
+        goal_room = 0 if config.goal_at_end else goal_window
         room = ends - starts - window - goal_room + 1  # windows of each episode
         if room.min() <= 0:
             shortest = int((ends - starts).min())
@@ -88,23 +100,23 @@ class Windows:
                 f" {shortest - goal_room}" + (f" before a goal of {goal_room}" if goal_room else "")
             )
         first_of_episode = np.repeat(starts - np.concatenate([[0], np.cumsum(room)[:-1]]), room)
-        self.window, self.goal_window, self.goal_at_end = window, goal_window, goal_at_end
-        self.final_goals = final_goals
+        self.config = config
         self._starts = torch.from_numpy(np.arange(room.sum()) + first_of_episode).to(device)
         self._last_steps = torch.from_numpy(np.repeat(ends - 1, room)).to(device)
         last_goals = np.repeat(ends - goal_window, room)
-        if goal_horizon is not None:
-            last_goals = np.minimum(last_goals, np.arange(room.sum()) + first_of_episode + window - 1 + goal_horizon)
+        if config.goal_horizon is not None:
+            last_states = np.arange(room.sum()) + first_of_episode + window - 1
+            last_goals = np.minimum(last_goals, last_states + config.goal_horizon)
         self._last_goals = torch.from_numpy(last_goals).to(device)
         if dataset.frame_size is None:
-            self._observations = scaling.observations(torch.from_numpy(np.array(dataset.observations))).to(device)
+            self._observations = scaling.scale_observations(torch.from_numpy(np.array(dataset.observations))).to(device)
             self._goals = scaling.mask_goals(self._observations)
         else:  # frames would not fit; what encodes them reads those of a batch
             self._observations = self._goals = torch.arange(len(dataset.observations), device=device)[:, None]
-        self._actions = scaling.actions(torch.from_numpy(np.array(dataset.actions))).to(device)
+        self._actions = scaling.scale_actions(torch.from_numpy(np.array(dataset.actions))).to(device)
         self._steps = torch.arange(window, device=device)
         self._goal_steps = torch.arange(goal_window, device=device)
-        self._future_steps = window + torch.arange(lookahead, device=device)
+        self._future_steps = window + torch.arange(config.lookahead, device=device)
 
     def __len__(self) -> int:
         """Number of different windows."""
@@ -122,14 +134,14 @@ class Windows:
         Returns:
             First steps of the windows and of their goals, and the last steps of their episodes, each (size,).
         """
-        device = self._starts.device
+        device, window, final_goals = self._starts.device, self.config.window, self.config.final_goals
         chosen = torch.randint(len(self), (size,), generator=generator, device=device)
         start, last_step = self._starts[chosen], self._last_steps[chosen]
-        if self.goal_at_end:
-            return start, start + self.window - self.goal_window, last_step
-        earliest, last = start + self.window, self._last_goals[chosen]
+        if self.config.goal_at_end:
+            return start, start + window - self.config.goal_window, last_step
+        earliest, last = start + window, self._last_goals[chosen]
         uniform = torch.rand(size, generator=generator, device=device, dtype=torch.float64)
-        rest = (uniform - self.final_goals) / (1 - self.final_goals)  # again uniform in [0, 1), where not negative
+        rest = (uniform - final_goals) / (1 - final_goals)  # again uniform in [0, 1), where not negative
         goal = earliest + (rest * (last - earliest + 1)).long()
         return start, torch.where(rest < 0, last, goal), last_step
 
@@ -143,5 +155,5 @@ class Windows:
             self._actions[steps],
             self._goals[goal[:, None] + self._goal_steps],
             self._observations[future],
-            goal - (start + self.window - 1),
+            goal - (start + self.config.window - 1),
         )

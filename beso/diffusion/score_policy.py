@@ -1,4 +1,4 @@
-"""A score-based diffusion policy: training objective (paper, Alg. 1) and action generation (Alg. 2).
+"""A score-based diffusion policy: denoiser and training objective (paper, Alg. 1).
 
 One window of T steps:
 
@@ -7,23 +7,23 @@ One window of T steps:
     goal           g_1 .. g_G
 
 Training noises all T actions at one level sigma a window and learns to denoise them all. At inference only a_T is
-noisy. Samplers, schedules and guidance are imported where a policy acts: training needs none of them, so that a new
-sampler retrains nothing.
+noisy. How actions are generated is the Sampling's (beso.sampling.diffusion): training needs no sampler, so that a new
+one retrains nothing.
 """
 
 import functools
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
-from beso.config import require, require_name, require_positive, require_rate
+from beso.config import require, require_name, require_rate
 from beso.data.windows import Batch
 from beso.diffusion.densities import DENSITIES
 from beso.diffusion.preconditioning import broadcast_to_actions, network_target, scales
 from beso.memory import Memory
-from beso.methods import ModelConfig, Policy, SamplingConfig
+from beso.method import BaseMethod, ModelConfig
 from beso.networks.transformer import TransformerConfig
 from beso.noise import Noise
 
@@ -71,51 +71,13 @@ class DiffusionConfig:
     def __post_init__(self) -> None:
         require(self.action_range > 0, f"action_range = {self.action_range}: must be above 0")
         require(self.sigma_data > 0, f"sigma_data = {self.sigma_data}: must be above 0")
-        _check_range(self.sigma_min, self.sigma_max)
+        check_range(self.sigma_min, self.sigma_max)
         require_name(self, "density", DENSITIES)
         require(self.scale > 0, f"scale = {self.scale}: must be above 0")
 
 
-@dataclass(frozen=True)
-class DiffusionSampling(SamplingConfig):
-    """How actions are generated from a trained model.
-
-    Attributes:
-        sampler, schedule: names in samplers.SAMPLERS and schedules.SCHEDULES.
-        steps: number of denoising steps.
-        sigma_min, sigma_max: range of the schedule.
-        context: "clean" keeps the previous actions as executed; "published" pushes them through the sampler together
-            with the new one, as the published code does (docs/fidelity.md); "renoised" adds noise of each denoising
-            step's level to them, as training does.
-        context_length: time steps of the context in rollouts; null takes the training window.
-    """
-
-    sampler: str
-    schedule: str
-    steps: int
-    sigma_min: float
-    sigma_max: float
-    context: Literal["clean", "published", "renoised"]
-    context_length: int | None
-
-    def __post_init__(self) -> None:
-        from beso.diffusion.samplers import SAMPLERS
-        from beso.diffusion.schedules import SCHEDULES
-
-        require_name(self, "sampler", SAMPLERS)
-        require_name(self, "schedule", SCHEDULES)
-        require_positive(self, "steps", "context_length")
-        _check_range(self.sigma_min, self.sigma_max)
-        self.sigmas()  # some schedules refuse too many steps
-
-    def sigmas(self) -> list[float]:
-        """The noise levels that the sampler stops at, `steps` + 1 of them."""
-        from beso.diffusion.schedules import SCHEDULES
-
-        return SCHEDULES[self.schedule](self.steps, self.sigma_min, self.sigma_max).tolist()
-
-
-def _check_range(sigma_min: float, sigma_max: float) -> None:
+def check_range(sigma_min: float, sigma_max: float) -> None:
+    """Raise ValueError unless these are the ends of a range of noise levels."""
     require(0 < sigma_min < sigma_max, f"sigma_min = {sigma_min}: must be above 0 and below sigma_max = {sigma_max}")
 
 
@@ -125,41 +87,41 @@ def _scales_of_one(sigma: float, sigma_data: float) -> list[float]:
     return [value.item() for value in scales(torch.tensor(sigma), sigma_data)]
 
 
-def default_sampling(diffusion: DiffusionConfig) -> DiffusionSampling:
-    """The paper's default sampler over the training range."""
-    return DiffusionSampling("ddim", "exponential", 3, diffusion.sigma_min, diffusion.sigma_max, "clean", None)
+class Acting(Protocol):
+    """What a ScorePolicy asks of its sampling; beso.sampling.diffusion has them."""
+
+    def act(self, policy: "ScorePolicy", observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise) -> Tensor:
+        """The next action; as ScorePolicy.act."""
 
 
-class ScorePolicy(nn.Module, Policy):
-    """Denoiser, loss and sampling around an inner network.
+class ScorePolicy(nn.Module, BaseMethod):
+    """Denoiser and loss around an inner network.
 
     Args:
         network: F, called as networks.transformer.ScoreTransformer is.
-        diffusion, sampling: configurations of training noise and of action generation; None is the default sampling.
+        diffusion: the training noise.
+        sampling: how actions are generated; None for a policy that only trains.
         goal_dropout: probability that a training sample loses its goal.
         goal_dropout_from: share of the training before which no goal is lost.
         null_goal: (G, O) what a network gets for a lost goal before training, which learns it; None is zeros, always.
-        guidance_scale: lambda of classifier-free guidance: 1 conditional, 0 unconditional.
     """
 
     def __init__(
         self,
         network: nn.Module,
         diffusion: DiffusionConfig,
-        sampling: DiffusionSampling | None,
+        sampling: Acting | None,
         goal_dropout: float = 0.0,
         goal_dropout_from: float = 0.0,
         null_goal: Tensor | None = None,
-        guidance_scale: float = 1.0,
     ) -> None:
         super().__init__()
         self.network = network
-        self.diffusion, self.sampling = diffusion, sampling or default_sampling(diffusion)
+        self.diffusion, self.sampling = diffusion, sampling
         self.goal_dropout, self.goal_dropout_from = goal_dropout, goal_dropout_from
         self.drops_goals = goal_dropout > 0
         # Three dimensions, so that optimizers do not take it for a hidden matrix.
         self.null_goal = None if null_goal is None else nn.Parameter(null_goal[None].clone())
-        self.guidance_scale = guidance_scale
 
     def schedule(self, done: float) -> bool:
         """Goals are lost from a share of the training on: a network must first find out what they are good for."""
@@ -169,10 +131,6 @@ class ScorePolicy(nn.Module, Policy):
     def without_goal(self, goal: Tensor) -> Tensor:
         """What stands for no goal, in the shape (B, G, O) of a batch of goals."""
         return torch.zeros_like(goal) if self.null_goal is None else self.null_goal.expand_as(goal)
-
-    @functools.cached_property
-    def _sigmas(self) -> list[float]:
-        return self.sampling.sigmas()
 
     def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:
         """Denoising score matching (paper, Eq. 6 and Alg. 1), a scalar.
@@ -220,36 +178,5 @@ class ScorePolicy(nn.Module, Policy):
         Returns:
             (B, A) scaled action.
         """
-        from beso.diffusion.guidance import classifier_free
-        from beso.diffusion.samplers import SAMPLERS
-
-        batch, previous = len(observations), actions.shape[1]
-        actions = self.diffusion.action_range * actions
-        guided = self.guidance_scale not in (0.0, 1.0)
-        if self.guidance_scale == 0:
-            goal = self.without_goal(goal)
-        elif guided:
-            goal = torch.cat([goal, self.without_goal(goal)])
-            observations, actions = torch.cat([observations, observations]), torch.cat([actions, actions])
-
-        alone, action_size = self.sampling.context != "published", actions.shape[-1]
-        eps: Tensor | float = 0.0  # of the previous actions, for each of the levels alike
-        if self.sampling.context == "renoised":
-            eps = noise.normal(previous, action_size)
-            eps = torch.cat([eps, eps]) if guided else eps
-
-        def bound(a: Tensor, sigma: float) -> Tensor:
-            """D with state and goal bound, on the current action (B, 1, A) or, as published, on all of them."""
-            if alone:
-                return self.denoise(torch.cat([actions + sigma * eps, a], dim=1), sigma, observations, goal)
-            return self.denoise(a, sigma, observations, goal, last_only=False)
-
-        denoise = classifier_free(bound, self.guidance_scale) if guided else bound
-        sigmas = self._sigmas
-        a = self.sampling.sigma_max * noise.normal(1, action_size)
-        if not alone:
-            a = torch.cat([actions[:batch], a], dim=1)
-        noise_steps = 1 if alone else previous + 1
-        sampler = SAMPLERS[self.sampling.sampler]
-        sampled = sampler(denoise, a, sigmas, lambda: noise.normal(noise_steps, action_size))
-        return sampled[:, -1] / self.diffusion.action_range
+        assert self.sampling is not None, "made without a sampling"
+        return self.sampling.act(self, observations, actions, goal, noise)

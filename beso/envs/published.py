@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from beso.data.play import read_npy
+from beso.data.store import read_npy
 from beso.errors import UserError
 
 

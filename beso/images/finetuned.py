@@ -51,7 +51,7 @@ class Normalised(nn.Module):
 
 
 class Finetuned(nn.Module):
-    """Policy and encoder as one, as far as training asks (beso.methods.Policy).
+    """Policy and encoder as one, as far as training asks (beso.method.BaseMethod).
 
     Args:
         policy: a policy that sees features.
@@ -80,11 +80,11 @@ class Finetuned(nn.Module):
             norm.momentum = None  # of all batches since a reset, each counts the same
 
     def prepare(self, actions: Tensor, seed: int) -> None:
-        """See beso.methods.Policy."""
+        """See beso.method.BaseMethod."""
         self.policy.prepare(actions, seed)
 
     def schedule(self, done: float) -> bool:
-        """See beso.methods.Policy."""
+        """See beso.method.BaseMethod."""
         return self.policy.schedule(done)
 
     def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:

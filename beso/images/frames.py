@@ -1,4 +1,4 @@
-"""Packed frames: every frame of a play dataset at one size, with what goes with them, on disk.
+"""Packed frames: every frame of a play dataset at one size, with what goes with them, on disk (beso.data.store).
 
     frames.npy         (steps, size, size, 3)  uint8 RGB
     actions.npy        (steps, A)              float32, as policies shall give them
@@ -18,11 +18,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from beso.data.play import read_npy, write_npy, write_npy_parts
+from beso.data import store
+from beso.data.store import Column
 from beso.errors import UserError
-from beso.files import check_sha256, read_json, replacing, sha256, write_json
+from beso.files import replacing
 
-COLUMNS: Final = ("actions", "tasks", "states")
+FRAMES: Final = Column((None, None, 3), "uint8")
+COLUMNS: Final[Mapping[str, Column]] = {
+    "actions": Column((None,), "float32"),
+    "tasks": Column((None,), "uint8"),
+    "states": Column((None,), "float32"),
+}
 ARRAYS: Final = ("frames", *COLUMNS, "episode_ends")
 BLOCK: Final = 256  # frames
 
@@ -35,11 +41,11 @@ class FrameFile:
     """
 
     def __init__(self, path: Path) -> None:
-        array = read_npy(path)
+        array = store.read_npy(path)
         if array.ndim != 4 or array.shape[3] != 3 or array.dtype != np.uint8 or not array.flags["C_CONTIGUOUS"]:
             raise UserError(f"{path} holds {array.dtype} {array.shape}, expected uint8 frames (steps, H, W, 3)")
         self.shape: tuple[int, ...] = array.shape
-        self._start: int = getattr(array, "offset")  # noqa: B009 (of memory maps, which read_npy's type does not tell)
+        self._start: int = getattr(array, "offset")  # noqa: B009 (of memory maps, which store.read_npy's type does not tell)
         self._row_bytes = int(np.prod(array.shape[1:]))
         self._file = path.open("rb")
 
@@ -137,23 +143,18 @@ def pack(
             first += len(frames)
             yield frames
 
-    with replacing(folder) as temporary:
-        temporary.mkdir()
-        write_npy_parts(temporary / "frames.npy", (steps, size, size, 3), np.uint8, resized())
+    description = {
+        **meta,
+        "held_out_episodes": [int(episode) for episode in held_out],
+        "counts": {"episodes": len(episode_ends), "steps": steps},
+        "size": size,
+    }
+    with store.writing(folder, description) as temporary:
+        store.write_npy_parts(temporary / "frames.npy", (steps, size, size, 3), np.uint8, resized())
         for name in COLUMNS:
-            write_npy(temporary / f"{name}.npy", columns[name])
-        write_npy(temporary / "episode_ends.npy", episode_ends)
-        mean, std = statistics.result()
-        description = {
-            **meta,
-            "held_out_episodes": [int(episode) for episode in held_out],
-            "mean": mean,
-            "std": std,
-            "counts": {"episodes": len(episode_ends), "steps": steps},
-            "size": size,
-            "sha256": {name: sha256(temporary / f"{name}.npy") for name in ARRAYS},
-        }
-        write_json(temporary / "meta.json", description)
+            store.write_npy(temporary / f"{name}.npy", columns[name])
+        store.write_npy(temporary / "episode_ends.npy", episode_ends)
+        description["mean"], description["std"] = statistics.result()
     return description
 
 
@@ -204,14 +205,8 @@ def load(folder: Path, verify: bool = True) -> PackedPlay:
     Raises:
         UserError: a file is missing, truncated or altered, or arrays do not fit together.
     """
-    if not (folder / "meta.json").is_file():
-        raise UserError(f"{folder} holds no packed frames: it has no meta.json; run `dvc repro preprocess` first")
-    meta = read_json(folder / "meta.json")
-    frames = FrameFile(folder / "frames.npy")
-    arrays = {name: read_npy(folder / f"{name}.npy") for name in ARRAYS if name != "frames"}
-    for name in ARRAYS if verify else ():
-        check_sha256(folder / f"{name}.npy", meta.get("sha256", {}).get(name), "meta.json")
-    for name in COLUMNS:
-        if len(arrays[name]) != len(frames):
-            raise UserError(f"{folder / name}.npy has {len(arrays[name])} rows for {len(frames)} frames")
-    return PackedPlay(frames=frames, **arrays, meta=meta)
+    missing = "holds no packed frames: it has no meta.json; run `dvc repro preprocess` first"
+    arrays, meta = store.read(folder, ARRAYS, missing, verify)
+    store.check(arrays, {"frames": FRAMES, **COLUMNS}, str(folder))
+    del arrays["frames"]
+    return PackedPlay(frames=FrameFile(folder / "frames.npy"), **arrays, meta=meta)

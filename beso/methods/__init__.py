@@ -1,10 +1,13 @@
 """The methods of the paper's comparison, one module each.
 
-A module defines
+A module defines, from what beso.method offers,
 
     Config       what shapes the network (`methods.<name>.train.<env>.model`), a ModelConfig
     Sampling     what only action generation needs (`methods.<name>.sample.<env>`), a SamplingConfig
-    Method       the policy, a Policy
+    Method       network, loss and acting, a BaseMethod
+
+Where a Sampling stands on code that training must not depend on, as the diffusion policies' does on samplers, it lies
+in beso.sampling, and the module has its place instead: SAMPLING = "<module>:<class>".
 
 Modules are imported by name, so that a pipeline cell depends on its own method's file and on no other's.
 """
@@ -13,124 +16,17 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
-from beso.config import require, require_positive
 from beso.errors import UserError
-
-if TYPE_CHECKING:  # a cell that only checks parameters does not depend on these
-    import torch
-    from torch import Tensor
-
-    from beso.data.spec import Sizes
-    from beso.data.windows import Batch
-    from beso.memory import Memory
-    from beso.noise import Noise
-
-
-class SamplingConfig:
-    """What a method's Sampling inherits."""
-
-    def context_steps(self, trained: int) -> int:
-        """Time steps of the context in rollouts, for a policy whose training suggests `trained`.
-
-        A Sampling that has a `context_length` may ask for another number.
-        """
-        return getattr(self, "context_length", None) or trained
-
-
-@dataclass(frozen=True)
-class ContextSampling(SamplingConfig):
-    """The Sampling of a method of which nothing but the context can be chosen.
-
-    Attributes:
-        context_length: time steps of the context in rollouts; null takes the training window.
-    """
-
-    context_length: int | None
-
-    def __post_init__(self) -> None:
-        require_positive(self, "context_length")
-
-
-class ModelConfig:
-    """What a method's Config inherits: the windows it is trained on (beso.data.windows), and what it checks.
-
-    Attributes:
-        final_goals: share of the windows whose goal is the episode's last state, or the last that the goal horizon
-            allows; the others' are uniform in the future.
-    """
-
-    final_goals: float = 0.0
-
-    if TYPE_CHECKING:
-
-        @property
-        def window(self) -> int:
-            """Time steps in a training window; every Config has it."""
-
-    @property
-    def context(self) -> int:
-        """Time steps of the context in rollouts, unless the sampling asks for fewer."""
-        return self.window
-
-    @property
-    def lookahead(self) -> int:
-        """States after the window that the loss sees."""
-        return 0
-
-    @property
-    def goal_at_end(self) -> bool:
-        """Whether the goal is the window's own last states."""
-        return False
-
-    def check(self, sampling: Any) -> None:
-        """Raise ValueError where a Sampling does not fit."""
-        length = sampling.context_steps(self.context)
-        require(length <= self.window, f"context_length = {length}: must be at most the model's window, {self.window}")
-
-    def check_teacher(self, teacher: ModelConfig | None) -> None:
-        """Raise ValueError unless a model can learn from a trained one of this configuration, or, None, from play."""
-        require(teacher is None, "learns from play data, not from a teacher")
-
-
-class Policy(Protocol):
-    """What training and rollouts ask of a policy, a torch.nn.Module. All tensors are scaled."""
-
-    def __init__(self, config: Any, sampling: Any, sizes: Sizes, generator: torch.Generator) -> None:
-        """`sampling` None means the method's default. Initial weights are drawn from `generator`."""
-
-    def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:
-        """Loss of a batch, a scalar, with random numbers from `generator`; dropout only in training mode."""
-
-    def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise, memory: Memory) -> Tensor:
-        """(B, T, O), (B, T-1, A), (B, G, O) -> next action (B, A). `memory` may be changed."""
-
-    def learn_from(self, teacher: Any) -> None:
-        """Before training, of a method whose `check_teacher` allows it: take a trained policy for a teacher."""
-
-    def prepare(self, actions: Tensor, seed: int) -> None:
-        """Look at all scaled training actions (N, A) before the first update."""
-
-    def schedule(self, done: float) -> bool:
-        """Hear before every update which share of the training is done.
-
-        Returns:
-            Whether the loss computes something else from now on, so that a recording of it does not serve any longer.
-        """
-        return False
-
-    def settle(self) -> None:
-        """As averaged weights, before they are measured or saved: renew what is measured with the weights."""
+from beso.method import ModelConfig, SamplingConfig
 
 
 class Module(Protocol):
     """What a method's module offers."""
 
     Config: type[ModelConfig]
-    Sampling: type[SamplingConfig]
-    Method: Any  # a Policy and a torch.nn.Module
+    Method: Any  # a BaseMethod and a torch.nn.Module
 
 
 def names() -> list[str]:
@@ -148,3 +44,9 @@ def load(name: str) -> Module:
         raise UserError(f"method {name!r} is not one of {', '.join(names())}")
     module: Any = importlib.import_module(f"beso.methods.{name}")
     return module
+
+
+def sampling(name: str) -> type[SamplingConfig]:
+    """The Sampling of one method. Raises UserError as `load` does."""
+    module: Any = load(name)
+    return module.Sampling if hasattr(module, "Sampling") else pkgutil.resolve_name(module.SAMPLING)

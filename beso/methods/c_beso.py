@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import torch
 
 from beso.data.spec import Sizes
-from beso.diffusion.score_policy import DenoiserConfig, DiffusionConfig, DiffusionSampling, ScorePolicy
+from beso.diffusion.score_policy import Acting, DenoiserConfig, DiffusionConfig, ScorePolicy
 from beso.networks.transformer import ScoreTransformer
 
-Sampling = DiffusionSampling
+SAMPLING = "beso.sampling.diffusion:DiffusionSampling"
 
 
 @dataclass(frozen=True)
@@ -19,9 +19,9 @@ class Config(DenoiserConfig):
 
 
 class Method(ScorePolicy):
-    """The policy. See beso.methods.Policy."""
+    """The policy. See beso.method.BaseMethod."""
 
-    def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
+    def __init__(self, config: Config, sampling: Acting | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__(
             ScoreTransformer(config.transformer, *sizes, generator=generator),
             config.diffusion,

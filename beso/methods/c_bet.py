@@ -15,7 +15,7 @@ from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.errors import UserError
 from beso.memory import Memory
-from beso.methods import ContextSampling, ModelConfig, Policy
+from beso.method import BaseMethod, ContextSampling, ModelConfig
 from beso.networks.sequence import SequenceTransformer
 from beso.noise import Noise, categorical
 
@@ -52,8 +52,8 @@ class Config(ModelConfig):
 Sampling = ContextSampling  # the bin is always drawn
 
 
-class Method(nn.Module, Policy):
-    """The policy. See beso.methods.Policy."""
+class Method(nn.Module, BaseMethod):
+    """The policy. See beso.method.BaseMethod."""
 
     centres: Tensor
 

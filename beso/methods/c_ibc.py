@@ -15,7 +15,7 @@ from beso.data.scaling import CLIP
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory
-from beso.methods import ModelConfig, Policy, SamplingConfig
+from beso.method import BaseMethod, ModelConfig, SamplingConfig
 from beso.networks.mlp import MLP
 from beso.noise import Noise, categorical
 
@@ -75,8 +75,8 @@ class Sampling(SamplingConfig):
 VALIDATION = Sampling(candidates=256, iterations=2, noise_scale=0.3, noise_shrink=0.5)
 
 
-class Method(nn.Module, Policy):
-    """The policy. See beso.methods.Policy."""
+class Method(nn.Module, BaseMethod):
+    """The policy. See beso.method.BaseMethod."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()

@@ -13,8 +13,10 @@ from torch import Tensor
 from beso.config import require, require_rate
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
-from beso.diffusion.score_policy import DenoiserConfig, DiffusionConfig, DiffusionSampling, ScorePolicy
+from beso.diffusion.score_policy import Acting, DenoiserConfig, DiffusionConfig, ScorePolicy
 from beso.networks.transformer import ScoreTransformer
+
+SAMPLING = "beso.sampling.diffusion:GuidedSampling"
 
 
 @dataclass(frozen=True)
@@ -45,17 +47,10 @@ class Config(DenoiserConfig):
         )
 
 
-@dataclass(frozen=True)
-class Sampling(DiffusionSampling):
-    """As for C-BESO, and the guidance scale lambda."""
-
-    guidance_scale: float
-
-
 class Method(ScorePolicy):
-    """The policy. See beso.methods.Policy."""
+    """The policy. See beso.method.BaseMethod."""
 
-    def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
+    def __init__(self, config: Config, sampling: Acting | None, sizes: Sizes, generator: torch.Generator) -> None:
         whole = config.goal_dropout_of == "goal"
         super().__init__(
             ScoreTransformer(config.transformer, *sizes, generator=generator),
@@ -64,7 +59,6 @@ class Method(ScorePolicy):
             goal_dropout=config.goal_dropout if whole else 0.0,
             goal_dropout_from=config.goal_dropout_from,
             null_goal=torch.ones(sizes.goal_window, sizes.observation) if config.null_goal == "learned" else None,
-            guidance_scale=sampling.guidance_scale if sampling else 1.0,
         )
         self.element_dropout = 0.0 if whole else config.goal_dropout
 

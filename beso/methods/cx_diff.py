@@ -16,7 +16,7 @@ from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.diffusion.score_policy import DenoiserConfig
 from beso.memory import Memory
-from beso.methods import Policy, SamplingConfig
+from beso.method import BaseMethod, SamplingConfig
 from beso.networks.transformer import ScoreTransformer
 from beso.noise import Noise
 
@@ -68,8 +68,8 @@ class Sampling(SamplingConfig):
         require(self.extra_steps >= 0, f"extra_steps = {self.extra_steps}: must not be negative")
 
 
-class Method(nn.Module, Policy):
-    """The policy. See beso.methods.Policy."""
+class Method(nn.Module, BaseMethod):
+    """The policy. See beso.method.BaseMethod."""
 
     alpha_bar: Tensor
 

@@ -13,7 +13,7 @@ is no dropout.
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -22,8 +22,8 @@ from torch import Tensor
 from beso.config import require, require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
-from beso.diffusion.score_policy import DenoiserConfig, DiffusionConfig, ScorePolicy, default_sampling
-from beso.methods import ContextSampling, ModelConfig
+from beso.diffusion.score_policy import Acting, DenoiserConfig, DiffusionConfig, ScorePolicy
+from beso.method import ModelConfig
 from beso.networks.transformer import ScoreTransformer
 
 
@@ -56,18 +56,19 @@ class Config(DenoiserConfig):
             require(other == own, f"the teacher's {name} is {other} and the student's {own}; they must be the same")
 
 
-Sampling = ContextSampling  # sampler and steps are those of the training
+SAMPLING = "beso.sampling.diffusion:StudentSampling"
 
 
 class Method(ScorePolicy):
-    """The student. See beso.methods.Policy."""
+    """The student. See beso.method.BaseMethod."""
 
-    def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
+    def __init__(self, config: Config, sampling: Acting | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__(
             ScoreTransformer(config.transformer, *sizes, generator=generator),
             config.diffusion,
-            replace(default_sampling(config.diffusion), steps=config.steps),
+            sampling,
         )
+        self.steps = config.steps
         self.levels, self.teacher_levels = (
             _levels(steps, config.diffusion) for steps in (config.steps, config.teacher_steps)
         )
@@ -114,7 +115,7 @@ def _solve(
 ) -> Tensor:
     """DDIM from noise (B, 1, A) at levels[0] to the action (B, 1, A) that follows its context (B, T - 1, A).
 
-    As ScorePolicy.act with this sampler (a test compares them), which training must not depend on.
+    As beso.sampling.diffusion with this sampler (a test compares them), which training must not depend on.
     """
     for sigma, to in itertools.pairwise(levels):
         denoised = policy.denoise(torch.cat([context, a], dim=1), sigma, observations, goal)

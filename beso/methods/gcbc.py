@@ -14,7 +14,7 @@ from beso.config import require_positive, require_rate
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory
-from beso.methods import ModelConfig, Policy, SamplingConfig
+from beso.method import BaseMethod, ModelConfig, SamplingConfig
 from beso.networks.mlp import MLP
 from beso.noise import Noise
 
@@ -47,8 +47,8 @@ class Sampling(SamplingConfig):
     """Nothing to choose: the policy is deterministic."""
 
 
-class Method(nn.Module, Policy):
-    """The policy. See beso.methods.Policy."""
+class Method(nn.Module, BaseMethod):
+    """The policy. See beso.method.BaseMethod."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()

@@ -21,7 +21,7 @@ from beso.config import require, require_positive, require_rate
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory, replans
-from beso.methods import ModelConfig, Policy, SamplingConfig
+from beso.method import BaseMethod, ModelConfig, SamplingConfig
 from beso.networks import logistic_mixture
 from beso.networks.layers import dropout
 from beso.networks.mlp import MLP
@@ -108,8 +108,8 @@ class Gaussian(NamedTuple):
         return Gaussian(self.mean.detach(), self.std.detach())
 
 
-class Method(nn.Module, Policy):
-    """The policy. See beso.methods.Policy. Its memory holds plan, decoder state and steps since the episode's start."""
+class Method(nn.Module, BaseMethod):
+    """The policy. See beso.method.BaseMethod. It remembers plan, decoder state and steps since the episode's start."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()

@@ -14,7 +14,7 @@ from beso.config import require_positive
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.memory import Memory, replans
-from beso.methods import ModelConfig, Policy, SamplingConfig
+from beso.method import BaseMethod, ModelConfig, SamplingConfig
 from beso.networks.mlp import MLP
 from beso.noise import Noise
 
@@ -60,8 +60,8 @@ class Sampling(SamplingConfig):
         require_positive(self, "replan")
 
 
-class Method(nn.Module, Policy):
-    """The policy. See beso.methods.Policy. Its memory holds the sub-goal and the steps since the episode's start."""
+class Method(nn.Module, BaseMethod):
+    """The policy. See beso.method.BaseMethod. Its memory holds the sub-goal and the steps since the episode's start."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()

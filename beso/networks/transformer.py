@@ -89,7 +89,7 @@ class ScoreTransformer(nn.Module):
     def forward(
         self,
         actions: Tensor,
-        noise_level: Tensor,
+        c_noise: Tensor,
         observations: Tensor,
         goal: Tensor,
         last_only: bool = False,
@@ -99,7 +99,7 @@ class ScoreTransformer(nn.Module):
 
         Args:
             actions: (B, T, A) noisy actions times c_in; T at most the window.
-            noise_level: (B,) c_noise.
+            c_noise: (B,) of beso.diffusion.preconditioning, or another number for sigma.
             observations: (B, T, O).
             goal: (B, G, O).
             last_only: predict for the last action only.
@@ -113,7 +113,7 @@ class ScoreTransformer(nn.Module):
         at_steps = position[:, goals : goals + steps]
         states = self.embed_state(observations) + at_steps
         pairs = torch.stack([states, self.embed_action(actions) + at_steps], dim=2)  # (B, T, 2, d)
-        tokens = [self.embed_sigma(noise_level.reshape(batch, 1, 1)), pairs.view(batch, 2 * steps, -1)]
+        tokens = [self.embed_sigma(c_noise.reshape(batch, 1, 1)), pairs.view(batch, 2 * steps, -1)]
         if goals:
             tokens.insert(1, self.embed_state(goal) + position[:, :goals])
         x = torch.cat(tokens, dim=1)

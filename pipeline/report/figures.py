@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from beso import envs
-from beso.data.play import read_npy
+from beso.data.store import read_npy
 from beso.envs.figures import COLOURS as METHOD_COLOURS
 from beso.envs.figures import PANELS_A_LINE, panels
 from beso.envs.protocol import Drawing, Episodes

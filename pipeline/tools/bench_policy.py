@@ -14,11 +14,11 @@ import numpy as np
 import torch
 
 from beso import envs
-from beso.checkpoint import Loaded
+from beso.checkpoint import LoadedModel
 from beso.data import play
 from beso.data.scaling import Scaling
 from beso.noise import BatchNoise
-from beso.policy import Agent
+from beso.policy import BatchPolicy
 from pipeline import paths, profile
 from pipeline.pool import available_workers, map_jobs
 from stages.latency import build, time_calls
@@ -75,7 +75,7 @@ def _play(setting: Setting, count: int, steps: int) -> tuple[float, float, int]:
     scaling = Scaling.fit(dataset, np.arange(len(dataset)), spec)
     goals = np.repeat(observations[:, None], spec.goal_window, axis=1)
     context = setting.sampling.context_steps(setting.model.context)
-    agent = Agent(Loaded(policy, scaling, context), goals, torch.device("cpu"))
+    agent = BatchPolicy(LoadedModel(policy, scaling, context), goals, torch.device("cpu"))
     noise = BatchNoise(count, torch.Generator().manual_seed(0))
     start = time.time()
     for _ in range(steps):

@@ -40,7 +40,7 @@ def errors(
     """Mean squared errors of actions, scaled, with an episode's own states and with the next one's as goal.
 
     Args:
-        policy: see beso.methods.Policy; what it remembers is empty at every step.
+        policy: see beso.method.BaseMethod; what it remembers is empty at every step.
         episodes: which episodes, indices into the dataset.
         goal_window: states in a goal.
         context: time steps that the policy sees.
@@ -63,9 +63,9 @@ def errors(
     def rows(array: np.ndarray, wanted: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.array(array[wanted])).to(device)
 
-    observations = scaling.observations(rows(dataset.observations, steps))
-    goals = scaling.goals(rows(dataset.observations, first_of_goal[:, None] + np.arange(goal_window)))
-    actions = scaling.actions(rows(dataset.actions, steps))
+    observations = scaling.scale_observations(rows(dataset.observations, steps))
+    goals = scaling.scale_goals(rows(dataset.observations, first_of_goal[:, None] + np.arange(goal_window)))
+    actions = scaling.scale_actions(rows(dataset.actions, steps))
     start = draws.get_state()
 
     def error(goal: torch.Tensor) -> float:

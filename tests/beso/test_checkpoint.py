@@ -21,7 +21,7 @@ def sampling(small_models):
     """sampling(job, changes) -> how the job's method generates actions in these tests."""
 
     def sampling(job, **changes):
-        return build(methods.load(job.method).Sampling, {**small_models[job.method][1], **changes}, "sampling")
+        return build(methods.sampling(job.method), {**small_models[job.method][1], **changes}, "sampling")
 
     return sampling
 
@@ -36,7 +36,7 @@ def save(dataset, spec, make_job, sampling, tmp_path):
         weights = {key: value.detach().clone() for key, value in method.state_dict().items()}
         scaling = Scaling.fit(dataset, np.arange(3), spec)
         curve = [{"step": 8, "training_loss": 0.5}]
-        checkpoint.save(tmp_path, job, spec.sizes, checkpoint.Trained(weights, scaling, curve), "digest")
+        checkpoint.save(tmp_path, job, spec.sizes, checkpoint.TrainedModel(weights, scaling, curve), "digest")
         return method.eval(), scaling
 
     return save

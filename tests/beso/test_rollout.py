@@ -12,7 +12,7 @@ from beso.envs.protocol import TrialRequest
 from beso.errors import UserError
 from beso.evaluation_config import Chunk, EvaluationConfig, chunks
 from beso.noise import EpisodeNoise
-from beso.policy import Agent, Policy
+from beso.policy import BatchPolicy, Policy
 from beso.rollout import EvaluationJob, evaluate
 from beso.seeding import generator
 from beso.training import train
@@ -40,7 +40,7 @@ def scaling(dataset, spec):
 @pytest.fixture
 def make_agent(scaling):
     """make_agent(method, context, goals) -> an agent around a policy in these units."""
-    return lambda method, context, goals: Agent(checkpoint.Loaded(method, scaling, context), goals, CPU)
+    return lambda method, context, goals: BatchPolicy(checkpoint.LoadedModel(method, scaling, context), goals, CPU)
 
 
 def test_agent_grows_and_then_slides_its_context(scaling, make_agent):
@@ -52,7 +52,7 @@ def test_agent_grows_and_then_slides_its_context(scaling, make_agent):
     lengths = [(observations.shape[1], actions.shape[1]) for observations, actions, _ in policy.calls]
     assert lengths == [(1, 0), (2, 1), (3, 2), (3, 2), (3, 2)]
     observations, actions, goal = policy.calls[-1]
-    expected = scaling.observations(torch.from_numpy(states[2:5]).float()).transpose(0, 1)
+    expected = scaling.scale_observations(torch.from_numpy(states[2:5]).float()).transpose(0, 1)
     assert torch.equal(observations, expected)
     assert (actions == 0.25).all()
     assert (goal[..., list(scaling.goal_masked)] == 0).all()
@@ -112,7 +112,7 @@ def job(make_dataset, make_job, small_models, spec, tmp_path):
     dataset, training = play.load(tmp_path / "data", spec), make_job("c_beso")
     result = train(training, dataset, spec, CPU, tmp_path / "state")
     checkpoint.save(tmp_path / "models", training, spec.sizes, result, play.data_digest(dataset))
-    sampling = build(methods.load("c_beso").Sampling, small_models["c_beso"][1], "sampling")
+    sampling = build(methods.sampling("c_beso"), small_models["c_beso"][1], "sampling")
     request = TrialRequest("", training.seed, range(8), CONFIG.seed, tmp_path / "data", training.train_fraction, 0)
     made = {
         (goals, training.seed): envs.trial_maker("block_push")(request._replace(goals=goals)) for goals in CONFIG.goals
@@ -169,7 +169,7 @@ def test_a_researchers_policy_acts_like_the_evaluations(job, small_models):
     first = [policy.act(np.full(16, 0.1 * i)) for i in range(4)]
     policy.reset(np.zeros(16), seed=3)
     assert np.array_equal(first, [policy.act(np.full(16, 0.1 * i)) for i in range(4)])
-    agent = Agent(checkpoint.load(job.models, job.training.seed, job.sampling, CPU), np.zeros((1, 1, 16)), CPU)
+    agent = BatchPolicy(checkpoint.load(job.models, job.training.seed, job.sampling, CPU), np.zeros((1, 1, 16)), CPU)
     noise = EpisodeNoise([generator(3, "policy noise")])
     assert np.array_equal(first, [agent.act(np.full((1, 16), 0.1 * i), noise)[0] for i in range(4)])
     with pytest.raises(UserError, match=r"sampling.nothing = 1: unknown key"):
@@ -198,33 +198,33 @@ def test_a_policy_gets_the_goals_of_its_episodes(job, spec, starts, monkeypatch)
     """The demonstration's last state, its blocks exchanged where the targets lie the other way round."""
     from beso.envs.block_push.simulator.environment import fitting_goal
 
-    given, act = [], Agent.act
+    given, act = [], BatchPolicy.act
 
     def noted_act(self, observations, noise):
         given.append(self.goal)
         return act(self, observations, noise)
 
-    monkeypatch.setattr(Agent, "act", noted_act)
+    monkeypatch.setattr(BatchPolicy, "act", noted_act)
     rows = play_chunk(job, "training", 0, 8)
     dataset = play.load(job.data, spec)
     scaling = Scaling.fit(dataset, job.training.split(len(dataset))[0], spec)
     last = [dataset.observations[dataset.episode_ends[row["goal_demonstration"]] - 1][None] for row in rows]
     expected = np.stack([fitting_goal(state, start) for state, start in zip(last, starts, strict=True)])
     assert any(not np.array_equal(goal, state) for goal, state in zip(expected, last, strict=True))
-    assert torch.equal(given[0], scaling.goals(torch.from_numpy(expected.astype(np.float32))))
+    assert torch.equal(given[0], scaling.scale_goals(torch.from_numpy(expected.astype(np.float32))))
     assert torch.equal(given[-1], given[0])
 
 
 @pytest.mark.parametrize(("context_length", "longest"), [(None, 3), (2, 2), (1, 1)])
 def test_a_context_may_be_shorter_than_the_training_window(job, monkeypatch, context_length, longest):
-    lengths, act = [], Agent.act
+    lengths, act = [], BatchPolicy.act
 
     def noted_act(self, observations, noise):
         action = act(self, observations, noise)
         lengths.append((self.observations.shape[1], self.actions.shape[1]))
         return action
 
-    monkeypatch.setattr(Agent, "act", noted_act)
+    monkeypatch.setattr(BatchPolicy, "act", noted_act)
     shorter = dataclasses.replace(job.sampling, context_length=context_length)
     play_chunk(dataclasses.replace(job, sampling=shorter), "training", 0, 1)
     assert max(lengths) == (longest, longest - 1)

@@ -13,7 +13,7 @@ import beso
 from beso import methods, training
 from beso.config import build
 from beso.data.scaling import Scaling
-from beso.data.windows import Windows
+from beso.data.windows import WindowConfig, Windows
 from beso.errors import UserError
 from beso.seeding import torch_generator
 from beso.training_config import OptimizationConfig, ValidationConfig
@@ -139,7 +139,7 @@ def plain_training(job, dataset, spec):
     episodes, _ = job.split(len(dataset))
     scaling = Scaling.fit(dataset, episodes, spec)
     model = job.config.model
-    windows = Windows(dataset, episodes, scaling, model.window, spec.goal_window)
+    windows = Windows(dataset, episodes, scaling, WindowConfig(model.window, spec.goal_window))
     initial = torch_generator(job.root_seed, "initial weights", job.seed)
     method = methods.load(job.method).Method(model, None, spec.sizes, initial).train()
     # Fused like the loop's own: the biases of the keys have no gradient but rounding, which Adam blows up to full size.
@@ -310,7 +310,7 @@ import sys
 from beso import methods, training
 from beso.config import build
 methods.load("c_beso"), methods.load("cfg_beso"), methods.load("cx_diff")
-print([name for name in sys.modules if name in ("beso.diffusion.samplers", "beso.diffusion.guidance")])
+print([name for name in sys.modules if name.startswith("beso.sampling")])
 """
     root = Path(beso.__file__).parent.parent
     result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)

@@ -86,7 +86,7 @@ def damaged(folder, change):
         (lambda folder: damaged(folder, lambda d: d["trials"][0].pop("limit")), "must hold trials, each with"),
         (lambda folder: damaged(folder, lambda d: d["trials"][0].update(number=1)), "trial 0 is missing before"),
         (lambda folder: damaged(folder, lambda d: d.update(trials=[])), "must hold trials"),
-        (lambda folder: damaged(folder, lambda d: d.update(sha256=3)), "must hold trials"),
+        (lambda folder: damaged(folder, lambda d: d.update(sha256=3)), "sha256 must hold the SHA-256 of every array"),
     ],
 )
 def test_a_damaged_folder_is_refused(folder, damage, message):

@@ -104,7 +104,7 @@ METHOD = '''
     import torch
     from torch import nn
 
-    from beso.methods import ModelConfig, Policy, SamplingConfig
+    from beso.method import BaseMethod, ModelConfig, SamplingConfig
 
 
     @dataclass(frozen=True)
@@ -117,7 +117,7 @@ METHOD = '''
         gain: float
 
 
-    class Method(nn.Module, Policy):
+    class Method(nn.Module, BaseMethod):
         def __init__(self, config, sampling, sizes, generator):
             super().__init__()
             self.layer = nn.Linear(2 * sizes.observation, sizes.action)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from beso import envs
-from beso.data import play
+from beso.data import play, store
 from beso.envs.calvin.demonstrations import official, raw, recording
 from beso.errors import UserError
 from beso.files import sha256
@@ -149,14 +149,14 @@ def test_features_are_what_the_encoder_beside_them_makes_of_the_frames(recorded,
     run()
     folder = paths.play("calvin")
     packed, source = frames.load(paths.frames("calvin")), raw.load(recorded)
-    features = play.read_npy(folder / "observations.npy")
+    features = store.read_npy(folder / "observations.npy")
     assert features.shape == (48, 512)
     assert features.dtype == np.float32
     encode = encoder.load(folder, torch.device("cpu"))
     assert np.array_equal(encode(packed.frames.read(np.arange(48))), features)
-    assert np.array_equal(play.read_npy(folder / "actions.npy"), source.rel_actions)
-    assert np.array_equal(play.read_npy(folder / "tasks.npy"), source.tasks)
-    assert np.array_equal(play.read_npy(folder / "episode_ends.npy"), source.episode_ends)
+    assert np.array_equal(store.read_npy(folder / "actions.npy"), source.rel_actions)
+    assert np.array_equal(store.read_npy(folder / "tasks.npy"), source.tasks)
+    assert np.array_equal(store.read_npy(folder / "episode_ends.npy"), source.episode_ends)
     meta = json.loads((folder / "meta.json").read_text())
     assert meta["source"] == "scripted"
     assert meta["sha256"]["observations"] == sha256(folder / "observations.npy")

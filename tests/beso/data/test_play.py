@@ -80,15 +80,20 @@ def test_values_that_are_not_finite_are_refused_with_their_step(dataset, spec, n
     refused(f"here: {name} has a value that is not finite .* step 37", play.check, dataset, spec, "here")
 
 
-@pytest.mark.parametrize(("name", "width", "expected"), [("observations", 15, 16), ("actions", 3, 2), ("tasks", 5, 4)])
-def test_wrong_shapes_are_refused(dataset, spec, name, width, expected):
+@pytest.mark.parametrize(
+    ("name", "width", "kind", "expected"),
+    [("observations", 15, "float32", 16), ("actions", 3, "float32", 2), ("tasks", 5, "uint8", 4)],
+)
+def test_wrong_shapes_are_refused(dataset, spec, name, width, kind, expected):
     wrong = dataclasses.replace(dataset, **{name: np.zeros((81, width), dtype=np.float32)})
-    refused(rf"{name} has shape \(81, {width}\), expected \(81, {expected}\)", play.check, wrong, spec, "here")
+    refused(
+        rf"{name} holds float32 \(81, {width}\), expected {kind} \(81, {expected}\)", play.check, wrong, spec, "here"
+    )
 
 
 def test_arrays_of_different_lengths_are_refused(dataset, spec):
     wrong = dataclasses.replace(dataset, actions=dataset.actions[:-1])
-    refused(r"actions has shape \(80, 2\), expected \(81, 2\)", play.check, wrong, spec, "here")
+    refused(r"actions holds float32 \(80, 2\), expected float32 \(81, 2\)", play.check, wrong, spec, "here")
 
 
 @pytest.mark.parametrize("ends", [[], [40], [0, 81], [50, 40, 81], [40, 40, 81], [90, 81]])

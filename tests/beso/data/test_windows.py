@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from beso.data.scaling import Scaling
-from beso.data.windows import Windows
+from beso.data.windows import WindowConfig, Windows
 from beso.errors import UserError
 
 LENGTHS = (12, 9, 20, 8, 15)
@@ -18,7 +18,7 @@ def data(make_dataset):
 def make(data, spec):
     def make(window=5, goal_window=1, episodes=(0, 1, 2, 3, 4)):
         episodes = np.array(episodes)
-        return Windows(data, episodes, Scaling.fit(data, episodes, spec), window, goal_window)
+        return Windows(data, episodes, Scaling.fit(data, episodes, spec), WindowConfig(window, goal_window))
 
     return make
 
@@ -70,7 +70,7 @@ def test_windows_and_goals_are_drawn_uniformly(make, data):
 def test_a_share_of_the_goals_are_the_last_ones_and_the_others_stay_uniform(data, spec, horizon, last):
     """The windows of 20 steps that start at their episode's first."""
     scaling, count, share = Scaling.fit(data, np.array([2]), spec), 100_000, 0.6
-    windows = Windows(data, np.array([2]), scaling, 1, 1, goal_horizon=horizon, final_goals=share)
+    windows = Windows(data, np.array([2]), scaling, WindowConfig(1, 1, goal_horizon=horizon, final_goals=share))
     start, goal = drawn(windows, count)
     goals = goal[start == data.episode_starts[2]] - data.episode_starts[2]
     shares = np.bincount(goals)[1:] / len(goals)
@@ -89,9 +89,9 @@ def test_samples_are_the_scaled_rows_of_their_indices(make, data, spec):
         rows = slice(start[i], start[i] + 4)
         observations, actions = torch.from_numpy(data.observations[rows]), torch.from_numpy(data.actions[rows])
         goals = torch.from_numpy(data.observations[goal[i] : goal[i] + 2])
-        assert torch.equal(batch.observations[i], scaling.observations(observations))
-        assert torch.equal(batch.actions[i], scaling.actions(actions))
-        assert torch.equal(batch.goal[i], scaling.goals(goals))
+        assert torch.equal(batch.observations[i], scaling.scale_observations(observations))
+        assert torch.equal(batch.actions[i], scaling.scale_actions(actions))
+        assert torch.equal(batch.goal[i], scaling.scale_goals(goals))
 
 
 def test_a_sample_is_decided_by_its_generator(make):
@@ -123,10 +123,10 @@ def test_a_window_that_does_not_fit_is_refused_with_the_lengths(make, goal_windo
 def test_the_future_follows_the_window_and_stops_at_the_episodes_end(data, spec):
     episodes = np.arange(len(LENGTHS))
     scaling = Scaling.fit(data, episodes, spec)
-    windows = Windows(data, episodes, scaling, 2, 1, lookahead=6)
+    windows = Windows(data, episodes, scaling, WindowConfig(2, 1, lookahead=6))
     start, goal, _ = windows.indices(500, torch.Generator().manual_seed(0))
     batch = windows.sample(500, torch.Generator().manual_seed(0))
-    scaled = scaling.observations(torch.from_numpy(np.array(data.observations)))
+    scaled = scaling.scale_observations(torch.from_numpy(np.array(data.observations)))
     last = torch.from_numpy(data.episode_ends)[np.searchsorted(data.episode_ends, start.numpy(), side="right")] - 1
     for ahead in range(6):
         assert torch.equal(batch.future[:, ahead], scaled[torch.minimum(start + 2 + ahead, last)])
@@ -137,12 +137,14 @@ def test_the_future_follows_the_window_and_stops_at_the_episodes_end(data, spec)
 def test_a_goal_at_the_end_is_the_windows_last_states_masked(data, spec):
     episodes = np.arange(len(LENGTHS))
     scaling = Scaling.fit(data, episodes, spec)
-    batch = Windows(data, episodes, scaling, 5, 2, goal_at_end=True).sample(50, torch.Generator().manual_seed(0))
+    batch = Windows(data, episodes, scaling, WindowConfig(5, 2, goal_at_end=True)).sample(
+        50, torch.Generator().manual_seed(0)
+    )
     assert torch.equal(batch.goal, scaling.mask_goals(batch.observations[:, -2:]))
 
 
 def test_actions_are_those_of_the_windows_episodes(data, spec):
     scaling = Scaling.fit(data, np.arange(len(LENGTHS)), spec)
-    actions = Windows(data, np.array([1, 3]), scaling, 5, 1).actions
+    actions = Windows(data, np.array([1, 3]), scaling, WindowConfig(5, 1)).actions
     rows = np.concatenate([np.arange(data.episode_starts[i], data.episode_ends[i] - 1) for i in (1, 3)])
-    assert torch.equal(actions, scaling.actions(torch.from_numpy(np.array(data.actions)))[rows])
+    assert torch.equal(actions, scaling.scale_actions(torch.from_numpy(np.array(data.actions)))[rows])

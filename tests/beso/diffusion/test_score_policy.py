@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,11 +11,12 @@ from torch import nn
 
 from beso.data.windows import Batch
 from beso.diffusion.densities import DENSITIES
-from beso.diffusion.samplers import SAMPLERS
-from beso.diffusion.schedules import SCHEDULES
-from beso.diffusion.score_policy import DiffusionConfig, DiffusionSampling, ScorePolicy, default_sampling
+from beso.diffusion.score_policy import DiffusionConfig, ScorePolicy
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
 from beso.noise import BatchNoise, EpisodeNoise
+from beso.sampling.diffusion import DiffusionSampling, GuidedSampling
+from beso.sampling.samplers import SAMPLERS
+from beso.sampling.schedules import SCHEDULES
 
 B, T, O, A, G = 5, 3, 4, 2, 1  # noqa: E741 (the letters of the docstrings)
 SIGMA_DATA, STD = 0.5, 0.3
@@ -26,6 +28,10 @@ CONTEXTS = ("clean", "published", "renoised")
 
 def sampling(sampler="ddim", steps=3, context="clean", sigma_min=0.05):
     return DiffusionSampling(sampler, "exponential", steps, sigma_min, 1.0, context, None)
+
+
+def guided(scale, **choices):
+    return GuidedSampling(**vars(sampling(**choices)), guidance_scale=scale)
 
 
 class OptimalNetwork(nn.Module):
@@ -183,7 +189,7 @@ def test_act_is_deterministic_given_its_noise(sampler, context):
 @pytest.mark.parametrize("steps", [1, 2, 3])
 @pytest.mark.parametrize("context", CONTEXTS)
 def test_act_works_while_the_context_grows(context, steps):
-    policy = ScorePolicy(transformer(), DIFFUSION, sampling("euler_ancestral", context=context), guidance_scale=2.0)
+    policy = ScorePolicy(transformer(), DIFFUSION, guided(2.0, sampler="euler_ancestral", context=context))
     action = act(policy.eval(), steps=steps)
     assert action.shape == (B, A)
     assert action.isfinite().all()
@@ -240,7 +246,7 @@ def test_guidance_scale_decides_how_much_the_goal_matters(context):
     unconditional = data._replace(goal=torch.zeros_like(data.goal))
 
     def policy(scale):
-        return ScorePolicy(network, DIFFUSION, sampling(context=context), guidance_scale=scale).eval()
+        return ScorePolicy(network, DIFFUSION, guided(scale, context=context)).eval()
 
     assert torch.equal(act(policy(0.0), data), act(policy(0.0), other))
     assert torch.equal(act(policy(0.0), data), act(policy(1.0), unconditional))
@@ -253,7 +259,7 @@ def test_guidance_scale_decides_how_much_the_goal_matters(context):
 def test_guidance_mixes_denoisers_with_the_papers_weights():
     """One step to 0 returns D itself: for the Gaussian, mean (1 - k) + a k with the mean lambda * goal."""
     data = batch()
-    policy = ScorePolicy(OptimalNetwork(), DIFFUSION, sampling(steps=1), guidance_scale=2.0).eval()
+    policy = ScorePolicy(OptimalNetwork(), DIFFUSION, guided(2.0, steps=1)).eval()
     keep = STD**2 / (STD**2 + 1)
     expected = 2 * data.goal[:, 0, :A] * (1 - keep) + initial_noise(B) * keep
     assert torch.allclose(act(policy, data), expected, atol=1e-5)
@@ -269,7 +275,7 @@ def test_only_the_current_action_is_computed_like_the_full_window():
 
 def test_an_episodes_action_does_not_depend_on_its_neighbours():
     data = batch()
-    policy = ScorePolicy(transformer(), DIFFUSION, sampling("euler_ancestral"), guidance_scale=1.5).eval()
+    policy = ScorePolicy(transformer(), DIFFUSION, guided(1.5, sampler="euler_ancestral")).eval()
     rows = torch.tensor([3, 1])
     picked = (data.observations[rows], data.actions[rows, :-1], data.goal[rows])
     with torch.no_grad():
@@ -334,7 +340,9 @@ def test_impossible_sampling_is_refused():
 
 
 def test_default_is_the_papers_sampler_over_the_training_range():
-    assert default_sampling(DIFFUSION) == DiffusionSampling("ddim", "exponential", 3, 0.05, 1.0, "clean", None)
+    config = SimpleNamespace(diffusion=DIFFUSION)
+    assert DiffusionSampling.default(config) == DiffusionSampling("ddim", "exponential", 3, 0.05, 1.0, "clean", None)
+    assert GuidedSampling.default(config) == guided(1.0)
 
 
 def test_goals_are_lost_from_their_share_of_the_training_on():
@@ -348,7 +356,7 @@ def test_goals_are_lost_from_their_share_of_the_training_on():
 
 def test_a_learned_null_goal_stands_for_no_goal_in_training_and_guidance():
     network, null = GoalRecorder(), torch.full((G, O), 7.0)
-    policy = ScorePolicy(network, DIFFUSION, sampling(), goal_dropout=0.5, null_goal=null, guidance_scale=2.0).train()
+    policy = ScorePolicy(network, DIFFUSION, guided(2.0), goal_dropout=0.5, null_goal=null).train()
     policy.loss(batch(64), torch.Generator().manual_seed(0))
     lost = (network.goals[-1] == 7).all(dim=(1, 2))
     assert 16 < lost.sum() < 48
@@ -357,7 +365,7 @@ def test_a_learned_null_goal_stands_for_no_goal_in_training_and_guidance():
     conditional, unconditional = network.goals[-1].chunk(2)
     assert torch.equal(conditional, batch().goal)
     assert (unconditional == 7).all()
-    policy.guidance_scale = 0.0
+    policy.sampling = guided(0.0)
     act(policy, steps=1)
     assert (network.goals[-1] == 7).all()
     assert [name for name, _ in policy.named_parameters()] == ["null_goal"], "it is trained and saved"

@@ -15,7 +15,7 @@ from beso import methods, training
 from beso.data import play
 from beso.data.play import PlayDataset
 from beso.data.scaling import Scaling
-from beso.data.windows import Windows
+from beso.data.windows import WindowConfig, Windows
 from beso.envs.calvin.spec import SPEC
 from beso.errors import UserError
 from beso.images import encoder, finetuned
@@ -70,8 +70,8 @@ def join(folder, frames, make_job):
         model, episodes = job.config.model, np.arange(3)
         policy = methods.load(name).Method(model, None, SPEC.sizes, torch_generator(0, "initial weights"))
         scaling = Scaling.fit(frames, episodes, SPEC)
-        shape = (scaling, model.window, 1, CPU, model.lookahead, model.goal_at_end)
-        windows = Windows(frames, episodes, *shape)
+        config = WindowConfig(model.window, 1, model.lookahead, model.goal_at_end)
+        windows = Windows(frames, episodes, scaling, config)
         policy.prepare(windows.actions, 0)
         return finetuned.join(policy, folder, frames, episodes).train(), windows
 
@@ -92,14 +92,16 @@ def test_play_data_of_frames_are_memory_mapped_and_name_their_encoder(frames):
 
 def test_play_data_of_frames_of_another_size_are_refused(frames):
     meta = {"finetune": {"frame_size": 40, "encoder": ""}}
-    with pytest.raises(UserError, match=r"observations has shape \(55, 48, 48, 3\), expected \(55, 40, 40, 3\)"):
+    with pytest.raises(
+        UserError, match=r"observations holds uint8 \(55, 48, 48, 3\), expected uint8 \(55, 40, 40, 3\)"
+    ):
         play.check(dataclasses.replace(frames, meta=meta), SPEC, "here")
 
 
 def test_nothing_of_frames_is_scaled_by_statistics(frames):
     scaling = Scaling.fit(frames, np.arange(3), SPEC)
     features = torch.randn(4, 512)
-    assert torch.equal(scaling.observations(features), features)
+    assert torch.equal(scaling.scale_observations(features), features)
     assert np.allclose(scaling.action_low, frames.actions[:42].min(axis=0))
 
 

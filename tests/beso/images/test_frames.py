@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from beso.data.play import write_npy
+from beso.data.store import write_npy
 from beso.envs.calvin.simulator.observations import block_slice
 from beso.envs.calvin.simulator.play_table import PlayTable
 from beso.errors import UserError
@@ -156,7 +156,7 @@ def test_missing_truncated_and_altered_files(raw, tmp_path):
         frames.load(folder)
     path.write_bytes(whole)
     write_npy(folder / "tasks.npy", np.zeros((299, 34), dtype=np.uint8))
-    with pytest.raises(UserError, match=r"tasks.npy has 299 rows for 300 frames"):
+    with pytest.raises(UserError, match=r"tasks holds uint8 \(299, 34\), expected uint8 \(300, 34\)"):
         frames.load(folder, verify=False)
     (folder / "states.npy").unlink()
     with pytest.raises(UserError, match=r"states.npy is missing"):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from beso.data.play import write_npy
+from beso.data.store import write_npy
 from beso.errors import UserError
 from beso.images import frames, pretraining
 from beso.images.encoder import Encoding, shifted

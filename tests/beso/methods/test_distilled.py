@@ -25,7 +25,7 @@ def make(small_models):
         module, (values, sample) = methods.load(name), small_models[name]
         values = {**values, **model, "transformer": {**values["transformer"], **(transformer or {})}}
         config = build(module.Config, values, "model")
-        chosen = build(module.Sampling, {**sample, **(sampling or {})}, "sampling")
+        chosen = build(methods.sampling(name), {**sample, **(sampling or {})}, "sampling")
         policy = module.Method(config, chosen, SIZES, draws(seed)).eval()
         with torch.no_grad():  # an initial network hardly does
             for parameter in policy.parameters():
@@ -61,7 +61,7 @@ def acted(policy, inputs):
     """What a policy does in a context, from a given first sample."""
     noise, context, observations, goal = inputs
     scale = policy.diffusion.action_range
-    start = GivenNoise(noise / policy.sampling.sigma_max)
+    start = GivenNoise(noise / policy.diffusion.sigma_max)
     with torch.no_grad():
         return policy.act(observations, context / scale, goal, start, {})
 

@@ -1,4 +1,4 @@
-"""What every method promises (beso.methods.Policy), and that each learns what it is for."""
+"""What every method promises (beso.method.BaseMethod), and that each learns what it is for."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def make(small_models):
     def make(name, sizes=SIZES, seed=0, model=None, sampling=None):
         module, (model_values, sampling_values) = methods.load(name), small_models[name]
         config = build(module.Config, {**model_values, **(model or {})}, "model")
-        chosen = build(module.Sampling, {**sampling_values, **(sampling or {})}, "sampling")
+        chosen = build(methods.sampling(name), {**sampling_values, **(sampling or {})}, "sampling")
         method = module.Method(config, chosen, sizes, torch.Generator().manual_seed(seed))
         if name in TEACHERS:
             method.learn_from(make(TEACHERS[name], sizes, seed)[0].eval())
@@ -152,6 +152,7 @@ def test_weights_survive_a_round_trip(make, name):
 @pytest.mark.parametrize("name", NAMES)
 def test_without_sampling_a_method_uses_its_default(make, name, small_models):
     _, config = make(name)
-    method = methods.load(name).Method(config, None, SIZES, torch.Generator().manual_seed(0)).eval()
+    sampling = methods.sampling(name).default(config)
+    method = methods.load(name).Method(config, sampling, SIZES, torch.Generator().manual_seed(0)).eval()
     observations, actions, goal, *_ = batch(3, config.window)
     assert method.act(observations, actions[:, :-1], goal, episode_noise(3), {}).shape == (3, SIZES.action)

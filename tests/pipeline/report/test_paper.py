@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from beso import envs, methods
-from beso.diffusion.samplers import SAMPLERS
-from beso.diffusion.schedules import SCHEDULES
+from beso.sampling.samplers import SAMPLERS
+from beso.sampling.schedules import SCHEDULES
 from pipeline.report.comparison import paper_numbers, places
 
 SOURCE = Path(__file__).with_name("paper_tables.tex").read_text()

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from beso.data.play import read_npy, write_npy
+from beso.data.store import read_npy, write_npy
 from beso.envs.calvin.demonstrations.raw import BATCH, RawPlay, writing
 from beso.envs.calvin.simulator import tasks
 from beso.envs.calvin.simulator.observations import ACTION_SIZE, ROBOT_SIZE, SCENE_SIZE

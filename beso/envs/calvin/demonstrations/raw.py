@@ -1,4 +1,4 @@
-"""Play with pictures on disk: flat arrays of whole episodes, one after another.
+"""Play with pictures on disk: flat arrays of whole episodes, one after another (beso.data.store).
 
     frames.npy          (steps, size, size, 3)  uint8, RGB of the static camera
     robot_obs.npy       (steps, 15)             float32
@@ -22,27 +22,27 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from beso.data.play import read_npy, write_npy
+from beso.data import store
+from beso.data.store import Column, GrowingArray
 from beso.envs.calvin.simulator import tasks
 from beso.envs.calvin.simulator.observations import ACTION_SIZE, ROBOT_SIZE, SCENE_SIZE
 from beso.errors import UserError
-from beso.files import check_sha256, read_json, replacing, sha256, write_json
 
 if TYPE_CHECKING:
     from beso.envs.calvin.demonstrations.scripted import Step
 
-COLUMNS: Final[Mapping[str, tuple[tuple[int, ...], str]]] = {  # shape of a row, dtype; that of a frame is free
-    "frames": ((), "uint8"),
-    "robot_obs": ((ROBOT_SIZE,), "float32"),
-    "scene_obs": ((SCENE_SIZE,), "float32"),
-    "rel_actions": ((ACTION_SIZE,), "float32"),
-    "actions": ((ACTION_SIZE,), "float32"),
-    "tasks": ((len(tasks.NAMES),), "uint8"),
-    "segment_starts": ((), "uint8"),
+COLUMNS: Final[Mapping[str, Column]] = {
+    "frames": Column((None, None, 3), "uint8"),
+    "robot_obs": Column((ROBOT_SIZE,), "float32"),
+    "scene_obs": Column((SCENE_SIZE,), "float32"),
+    "rel_actions": Column((ACTION_SIZE,), "float32"),
+    "actions": Column((ACTION_SIZE,), "float32"),
+    "tasks": Column((len(tasks.NAMES),), "uint8"),
+    "segment_starts": Column((), "uint8"),
 }
 ARRAYS: Final = (*COLUMNS, "episode_ends")
 BATCH: Final = 256  # rows that are written or copied at a time
@@ -83,8 +83,8 @@ class Writer:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._columns = {name: _GrowingArray(folder / f"{name}.npy", dtype) for name, (_, dtype) in COLUMNS.items()}
-        self._ends: list[int] = []
+        self._columns = {name: GrowingArray(folder / f"{name}.npy", dtype) for name, (_, dtype) in COLUMNS.items()}
+        self.ends: list[int] = []
 
     def append(self, columns: Mapping[str, np.ndarray]) -> None:
         """Append rows: an array for each of COLUMNS, all of equal length."""
@@ -96,50 +96,15 @@ class Writer:
     def end_episode(self) -> None:
         """Say that the episode ended with the last row."""
         steps = self._columns["frames"].rows
-        if steps == (self._ends[-1] if self._ends else 0):
+        if steps == (self.ends[-1] if self.ends else 0):
             raise ValueError("an episode without a step")
-        self._ends.append(steps)
+        self.ends.append(steps)
 
     def close(self) -> None:
         """Write what is left; the arrays are whole only now."""
         for array in self._columns.values():
             array.close()
-        write_npy(self._folder / "episode_ends.npy", np.array(self._ends, dtype=np.int64))
-
-
-class _GrowingArray:
-    """A .npy file that rows are appended to. Its header leaves room for any number of rows and is written twice."""
-
-    def __init__(self, path: Path, dtype: str) -> None:
-        self._file: BinaryIO = path.open("wb")
-        self._dtype = np.dtype(dtype)
-        self._row: tuple[int, ...] | None = None
-        self.rows = 0
-
-    def append(self, array: np.ndarray) -> None:
-        if self._row is None:
-            self._row = array.shape[1:]
-            self._write_header()
-        if array.shape[1:] != self._row:
-            raise ValueError(f"rows of shape {array.shape[1:]} after rows of shape {self._row}")
-        self._file.write(np.ascontiguousarray(array, dtype=self._dtype).data)
-        self.rows += len(array)
-
-    def close(self) -> None:
-        if self._row is not None:
-            end = self._file.tell()
-            self._file.seek(0)
-            self._write_header()
-            # Appended rows follow the first header, so the second must be as long.
-            if self._file.tell() + self.rows * self._dtype.itemsize * int(np.prod(self._row)) != end:
-                raise RuntimeError("numpy wrote two headers of unequal length")
-        self._file.close()
-
-    def _write_header(self) -> None:
-        assert self._row is not None
-        description = np.lib.format.dtype_to_descr(self._dtype)
-        header = {"descr": description, "fortran_order": False, "shape": (self.rows, *self._row)}
-        np.lib.format.write_array_header_1_0(self._file, header)
+        store.write_npy(self._folder / "episode_ends.npy", np.array(self.ends, dtype=np.int64))
 
 
 @contextmanager
@@ -149,20 +114,17 @@ def writing(folder: Path, meta: Mapping[str, Any]) -> Iterator[Writer]:
     Raises:
         UserError: nothing was written.
     """
-    with replacing(folder) as temporary:
-        temporary.mkdir()
+    described = dict(meta)
+    with store.writing(folder, described) as temporary:
         writer = Writer(temporary)
         try:
             yield writer
         finally:
             writer.close()
-        ends = read_npy(temporary / "episode_ends.npy")
-        if not len(ends):
+        if not writer.ends:
             raise UserError(f"{folder}: no episode to write")
-        versions = {name: importlib.metadata.version(name) for name in ("numpy", "pybullet")}
-        counts = {"episodes": len(ends), "steps": int(ends[-1])}
-        digests = {name: sha256(temporary / f"{name}.npy") for name in ARRAYS}
-        write_json(temporary / "meta.json", {**meta, "versions": versions, "counts": counts, "sha256": digests})
+        described["versions"] = {name: importlib.metadata.version(name) for name in ("numpy", "pybullet")}
+        described["counts"] = {"episodes": len(writer.ends), "steps": writer.ends[-1]}
 
 
 def write(episodes: Iterable[Iterable[Step]], folder: Path, meta: Mapping[str, Any]) -> None:
@@ -213,24 +175,9 @@ def load(folder: Path, verify: bool = True) -> RawPlay:
     Raises:
         UserError: a file is missing, truncated or altered, or an array has the wrong shape or dtype.
     """
-    if not (folder / "meta.json").is_file():
-        raise UserError(f"{folder} is not raw CALVIN play: it has no meta.json")
-    meta = read_json(folder / "meta.json")
-    arrays = {name: read_npy(folder / f"{name}.npy") for name in ARRAYS}
-    _check(arrays, folder)
-    for name in ARRAYS if verify else ():
-        check_sha256(folder / f"{name}.npy", meta.get("sha256", {}).get(name), "meta.json")
+    arrays, meta = store.read(folder, ARRAYS, "is not raw CALVIN play: it has no meta.json", verify)
+    store.check(arrays, COLUMNS, str(folder))
+    height, width = arrays["frames"].shape[1:3]
+    if height != width:
+        raise UserError(f"{folder}: frames are {height} x {width} pixels, expected square ones")
     return RawPlay(**arrays, meta=meta)
-
-
-def _check(arrays: Mapping[str, np.ndarray], folder: Path) -> None:
-    ends = arrays["episode_ends"]
-    if ends.ndim != 1 or len(ends) == 0 or (np.diff(ends, prepend=0) <= 0).any():
-        raise UserError(f"{folder / 'episode_ends.npy'} does not rise from above 0")
-    steps = int(ends[-1])
-    for name, (row, dtype) in COLUMNS.items():
-        array = arrays[name]
-        if name == "frames":
-            row = (*array.shape[1:3], 3)
-        if array.shape != (steps, *row) or array.dtype != dtype:
-            raise UserError(f"{folder / name}.npy holds {array.dtype} {array.shape}, expected {dtype} {(steps, *row)}")

@@ -128,7 +128,7 @@ def test_a_policy_that_was_trained_with_its_encoder_sees_frames(name, make_datas
     request = TrialRequest("single_tasks", training.seed, range(3), 3, data, 0.7, 0, TASKS)
     stored.save({("single_tasks", training.seed): trials.make(request)}, tmp_path / "trials")
     config = EvaluationConfig(seed=3, rollouts=3, goals=("single_tasks",), chunk=2, max_actions=4)
-    sampling = build(methods.load(name).Sampling, small_models[name][1], "sampling")
+    sampling = build(methods.sampling(name), small_models[name][1], "sampling")
     folders = (data, tmp_path / "trials", tmp_path / "models")
     job = EvaluationJob("calvin", *folders, training, sampling, config, "cpu")
     played = {workers: play_workers(job, workers) for workers in (1, 2)}
@@ -166,7 +166,7 @@ def test_a_policy_is_evaluated_on_pictures(environment, make_dataset, make_job, 
     request = TrialRequest("single_tasks", training.seed, range(2), 3, tmp_path / "data", 0.7, 0, TASKS)
     stored.save({("single_tasks", training.seed): trials.make(request)}, tmp_path / "trials")
     config = EvaluationConfig(seed=3, rollouts=2, goals=("single_tasks",), chunk=2, max_actions=4)
-    sampling = build(methods.load("gcbc").Sampling, small_models["gcbc"][1], "sampling")
+    sampling = build(methods.sampling("gcbc"), small_models["gcbc"][1], "sampling")
     folders = (tmp_path / "data", tmp_path / "trials", tmp_path / "models")
     job = EvaluationJob("calvin", *folders, training, sampling, config, "cpu")
     (rows,) = evaluate(job, [Chunk("single_tasks", 0, 2)])

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from beso.diffusion.guidance import classifier_free
+from beso.sampling.guidance import classifier_free
 
 B, T, A = 3, 2, 2
 

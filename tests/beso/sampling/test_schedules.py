@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from beso.diffusion.schedules import SCHEDULES, VP_BETA_D, VP_BETA_MIN
 from beso.errors import UserError
+from beso.sampling.schedules import SCHEDULES, VP_BETA_D, VP_BETA_MIN
 
 RANGES = [(0.005, 1.0), (0.05, 1.0)]
 GOLDEN = {

@@ -7,7 +7,7 @@ denoiser outputs with the same weights is the same thing.
 import torch
 from torch import Tensor
 
-from beso.diffusion.samplers import Denoise
+from beso.sampling.samplers import Denoise
 
 
 def classifier_free(denoise_pair: Denoise, scale: float) -> Denoise:

@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from beso.diffusion.samplers import SAMPLERS
-from beso.diffusion.schedules import SCHEDULES
+from beso.sampling.samplers import SAMPLERS
+from beso.sampling.schedules import SCHEDULES
 
 MEAN, STD = 0.3, 0.4
 ORDERS = {"euler": 1, "ddim": 1, "heun": 2, "dpm_2": 2, "dpmpp_2s": 2, "dpmpp_2m": 2}
