@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from beso import checkpoint, methods
+from beso import methods
 from beso.config import build
+from beso.core import checkpoint
+from beso.core.device import pick_device
+from beso.core.memory import Memory
+from beso.core.noise import EpisodeNoise, Noise
+from beso.core.seeding import generator
 from beso.data.scaling import CLIP
-from beso.device import pick_device
 from beso.errors import UserError
-from beso.memory import Memory
-from beso.noise import EpisodeNoise, Noise
-from beso.seeding import generator
 
 
 class BatchPolicy:

@@ -171,7 +171,7 @@ def evaluate(cell: str, models: Path, seeds: Sequence[int], rows: Path | None) -
 @click.option("--film", type=At(), default="watch.webm", show_default=True, help="File to write.")
 def watch(cell: str, models: Path, seed: int, episode: int, run: Path, film: Path) -> None:
     """Film an episode of the evaluation: same start, goal and noise."""
-    from pipeline.watch import watch
+    from pipeline.tools.watch import watch
 
     watch(cell, seed, episode, models, run, film)
 

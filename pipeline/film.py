@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 
 from beso.errors import CannotDrawError
-from beso.evaluation_config import Chunk
+from beso.evaluation.config import Chunk
+from beso.evaluation.rollout import EvaluationJob, Row, evaluate
 from beso.files import replacing, write_json
-from beso.rollout import EvaluationJob, Row, evaluate
 from pipeline.pool import map_jobs
 
 FRAMES_PER_SECOND = 20  # about twice the environments' actions a second

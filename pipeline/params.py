@@ -19,8 +19,8 @@ from typing import Any
 
 from beso import envs, methods
 from beso.config import build, require, require_positive
+from beso.core.training_config import TrainingConfig, TrainingJob
 from beso.errors import UserError
-from beso.training_config import TrainingConfig, TrainingJob
 from pipeline import paths
 from pipeline.recipes import CellPaths, EvaluateRecipe, StudyRecipe, TrainRecipe
 from pipeline.settings import EnvironmentParams, ImageParams

@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 
 from beso import methods
 from beso.config import build
+from beso.core.training_config import TrainingJob
 from beso.errors import UserError
-from beso.evaluation_config import EvaluationConfig
+from beso.evaluation.config import EvaluationConfig
 from beso.files import read_json
-from beso.training_config import TrainingJob
 
 FOLDER = Path("recipes")
 

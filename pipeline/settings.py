@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from beso.config import require, require_positive
-from beso.evaluation_config import EvaluationConfig
+from beso.core.training_config import ValidationConfig
+from beso.encoders.resnet import check_width
+from beso.evaluation.config import EvaluationConfig
 from beso.images.pretraining import Pretraining
-from beso.images.resnet import check_width
-from beso.training_config import ValidationConfig
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Features:
     """The encoder.
 
     Attributes:
-        width: channels of its first stage, see beso.images.resnet.
+        width: channels of its first stage, see beso.encoders.resnet.
         precision: "fp32", "bf16" for autocast, in training and afterwards, or "auto" for what the device is fast at.
         weights: if given, nothing is trained before.
         finetune: every policy trains its own copy on, as in the paper; else it is frozen.

@@ -10,17 +10,18 @@ import pandas as pd
 import torch
 
 from beso import envs
+from beso.core.device import pick_device, pick_precision
+from beso.core.seeding import torch_generator
 from beso.data import play, store
 from beso.data.play import PlayDataset
-from beso.device import pick_device, pick_precision
+from beso.encoders import encoder
+from beso.encoders.encoder import Encoding
+from beso.encoders.resnet import FEATURES, ResNet18
 from beso.files import replacing, sha256, write_text
-from beso.images import encoder, frames, probe
-from beso.images.encoder import Encoding
+from beso.images import frames, probe
 from beso.images.frames import PackedPlay
 from beso.images.pretraining import pretrain
-from beso.images.resnet import FEATURES, ResNet18
 from beso.images.weights import read_weights
-from beso.seeding import torch_generator
 from pipeline import paths, pool, recipes, scratch
 from pipeline.engine import map_jobs
 from pipeline.machine import Machine

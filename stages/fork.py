@@ -9,12 +9,13 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from beso import methods, optimizers
+from beso import methods
+from beso.core.noise import BatchNoise
+from beso.core.seeding import integer_seed, torch_generator
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.files import write_text
-from beso.noise import BatchNoise
-from beso.seeding import integer_seed, torch_generator
+from beso.training import optimizers
 from pipeline import paths, recipes
 from pipeline.engine import map_jobs
 from pipeline.machine import Machine

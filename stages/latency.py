@@ -11,10 +11,10 @@ import pandas as pd
 import torch
 
 from beso import envs, methods
+from beso.core.memory import Memory
+from beso.core.noise import BatchNoise
 from beso.data.spec import Sizes
 from beso.files import write_text
-from beso.memory import Memory
-from beso.noise import BatchNoise
 from pipeline import paths, pool, profile, recipes
 from pipeline.params import Cell
 from pipeline.recipes import LatencyRecipe

@@ -1,9 +1,9 @@
 """Packed frames of one environment, from its raw play."""
 
 from beso import envs
+from beso.core.seeding import generator
 from beso.errors import UserError
 from beso.images import frames
-from beso.seeding import generator
 from pipeline import paths, recipes
 from pipeline.recipes import EnvironmentRecipe
 from pipeline.settings import Preprocess

@@ -6,16 +6,17 @@ from typing import Any
 import pandas as pd
 import torch
 
-from beso import checkpoint, envs, methods
+from beso import envs, methods
 from beso.config import build
+from beso.core import checkpoint
+from beso.core.noise import BatchNoise
 from beso.data.spec import Sizes
+from beso.evaluation.rollout import EvaluationJob
 from beso.files import write_text
-from beso.noise import BatchNoise
-from beso.rollout import EvaluationJob
 from pipeline import recipes
 from pipeline.machine import Machine
+from pipeline.play import evaluation_jobs, play_all
 from pipeline.recipes import EvaluateRecipe, StudyRecipe
-from stages.evaluate import evaluation_jobs, play_all
 
 
 def main(name: str) -> None:

@@ -8,13 +8,14 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beso import checkpoint, envs
+from beso import envs
+from beso.core import checkpoint
+from beso.core.device import pick_device
+from beso.core.training_config import TrainingJob
 from beso.data import play
-from beso.device import pick_device
 from beso.errors import UserError
 from beso.files import replacing, sha256, write_text
-from beso.training import Training, side_by_side
-from beso.training_config import TrainingJob
+from beso.training.loop import Training, side_by_side
 from pipeline import recipes, scratch
 from pipeline.engine import map_jobs
 from pipeline.machine import Machine

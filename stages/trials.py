@@ -1,8 +1,9 @@
 """The episodes that all methods of one environment are evaluated on: made once, read by whatever plays them."""
 
-from beso import envs, trials
+from beso import envs
 from beso.envs.protocol import Trial, TrialRequest
-from beso.evaluation_config import chunks
+from beso.evaluation import trials
+from beso.evaluation.config import chunks
 from pipeline import paths, recipes
 from pipeline.engine import map_jobs
 from pipeline.machine import Machine

@@ -8,7 +8,7 @@
 
 Episode e is steps [ends[e-1], ends[e]). Row t holds the observation at t and the action taken there.
 
-Observations are frames where policies train an encoder too (beso.images.finetuned): meta.json has then an entry
+Observations are frames where policies train an encoder too (beso.encoders.finetuned): meta.json has then an entry
 "finetune" with the frames' size and the SHA-256 of the encoder's description, which lies beside the arrays.
 """
 

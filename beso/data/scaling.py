@@ -2,7 +2,7 @@
 
 Observations and goals are z-scored per dimension; actions are mapped to [-1, 1] by their range (paper, appendix
 "Normalization"). Statistics come from the training episodes alone. Features of an encoder that is trained with the
-policy have none; they come scaled (beso.images.finetuned).
+policy have none; they come scaled (beso.encoders.finetuned).
 """
 
 from dataclasses import asdict, dataclass

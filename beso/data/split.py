@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from beso.core.seeding import generator
 from beso.data.play import split_episodes
-from beso.seeding import generator
 
 
 def model_split(episodes: int, train_fraction: float, root_seed: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

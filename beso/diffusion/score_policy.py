@@ -19,13 +19,13 @@ import torch
 from torch import Tensor, nn
 
 from beso.config import require, require_name, require_rate
+from beso.core.memory import Memory
+from beso.core.method import BaseMethod, ModelConfig
+from beso.core.noise import Noise
 from beso.data.windows import Batch
 from beso.diffusion.densities import DENSITIES
 from beso.diffusion.preconditioning import broadcast_to_actions, network_target, scales
-from beso.memory import Memory
-from beso.method import BaseMethod, ModelConfig
 from beso.networks.transformer import TransformerConfig
-from beso.noise import Noise
 
 
 @dataclass(frozen=True)

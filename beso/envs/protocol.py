@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
+from beso.core.seeding import integer_seed
 from beso.data import play
 from beso.data.play import Episode, PlayDataset
 from beso.data.spec import PlaySpec
 from beso.data.split import model_split
-from beso.seeding import integer_seed
 
 if TYPE_CHECKING:
     import gymnasium

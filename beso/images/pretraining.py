@@ -25,13 +25,13 @@ from torch.nn import functional
 from tqdm import trange
 
 from beso.config import require, require_positive
+from beso.core.seeding import torch_generator
+from beso.encoders.encoder import Encoding, shifted
+from beso.encoders.resnet import FEATURES, ResNet18
 from beso.errors import UserError
-from beso.images.encoder import Encoding, shifted
 from beso.images.frames import PackedPlay, resize
-from beso.images.resnet import FEATURES, ResNet18
-from beso.loop_state import LoopState
 from beso.networks.mlp import MLP
-from beso.seeding import torch_generator
+from beso.training.loop_state import LoopState
 
 log = logging.getLogger(__name__)
 

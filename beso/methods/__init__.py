@@ -1,6 +1,6 @@
 """The methods of the paper's comparison, one module each.
 
-A module defines, from what beso.method offers,
+A module defines, from what beso.core.method offers,
 
     Config       what shapes the network (`methods.<name>.train.<env>.model`), a ModelConfig
     Sampling     what only action generation needs (`methods.<name>.sample.<env>`), a SamplingConfig
@@ -18,8 +18,8 @@ import importlib
 import pkgutil
 from typing import Any, Protocol
 
+from beso.core.method import ModelConfig, SamplingConfig
 from beso.errors import UserError
-from beso.method import ModelConfig, SamplingConfig
 
 
 class Module(Protocol):

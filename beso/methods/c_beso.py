@@ -19,7 +19,7 @@ class Config(DenoiserConfig):
 
 
 class Method(ScorePolicy):
-    """The policy. See beso.method.BaseMethod."""
+    """The policy. See beso.core.method.BaseMethod."""
 
     def __init__(self, config: Config, sampling: Acting | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__(

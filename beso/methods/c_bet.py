@@ -11,13 +11,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from beso.config import require, require_positive, require_rate
+from beso.core.memory import Memory
+from beso.core.method import BaseMethod, ContextSampling, ModelConfig
+from beso.core.noise import Noise, categorical
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.errors import UserError
-from beso.memory import Memory
-from beso.method import BaseMethod, ContextSampling, ModelConfig
 from beso.networks.sequence import SequenceTransformer
-from beso.noise import Noise, categorical
 
 FOCUS = 2.0  # gamma of the focal loss (Lin et al. 2017)
 
@@ -53,7 +53,7 @@ Sampling = ContextSampling  # the bin is always drawn
 
 
 class Method(nn.Module, BaseMethod):
-    """The policy. See beso.method.BaseMethod."""
+    """The policy. See beso.core.method.BaseMethod."""
 
     centres: Tensor
 

@@ -11,13 +11,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from beso.config import require, require_positive
+from beso.core.memory import Memory
+from beso.core.method import BaseMethod, ModelConfig, SamplingConfig
+from beso.core.noise import Noise, categorical
 from beso.data.scaling import CLIP
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
-from beso.memory import Memory
-from beso.method import BaseMethod, ModelConfig, SamplingConfig
 from beso.networks.mlp import MLP
-from beso.noise import Noise, categorical
 
 GRADIENT_MARGIN = 1.0  # Florence et al.: the energy's slope is free up to here
 
@@ -76,7 +76,7 @@ VALIDATION = Sampling(candidates=256, iterations=2, noise_scale=0.3, noise_shrin
 
 
 class Method(nn.Module, BaseMethod):
-    """The policy. See beso.method.BaseMethod."""
+    """The policy. See beso.core.method.BaseMethod."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()

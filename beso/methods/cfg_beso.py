@@ -48,7 +48,7 @@ class Config(DenoiserConfig):
 
 
 class Method(ScorePolicy):
-    """The policy. See beso.method.BaseMethod."""
+    """The policy. See beso.core.method.BaseMethod."""
 
     def __init__(self, config: Config, sampling: Acting | None, sizes: Sizes, generator: torch.Generator) -> None:
         whole = config.goal_dropout_of == "goal"

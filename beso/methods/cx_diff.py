@@ -12,13 +12,13 @@ import torch
 from torch import Tensor, nn
 
 from beso.config import require, require_positive
+from beso.core.memory import Memory
+from beso.core.method import BaseMethod, SamplingConfig
+from beso.core.noise import Noise
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.diffusion.score_policy import DenoiserConfig
-from beso.memory import Memory
-from beso.method import BaseMethod, SamplingConfig
 from beso.networks.transformer import ScoreTransformer
-from beso.noise import Noise
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Sampling(SamplingConfig):
 
 
 class Method(nn.Module, BaseMethod):
-    """The policy. See beso.method.BaseMethod."""
+    """The policy. See beso.core.method.BaseMethod."""
 
     alpha_bar: Tensor
 

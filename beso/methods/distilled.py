@@ -20,10 +20,10 @@ import torch
 from torch import Tensor
 
 from beso.config import require, require_positive
+from beso.core.method import ModelConfig
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
 from beso.diffusion.score_policy import Acting, DenoiserConfig, DiffusionConfig, ScorePolicy
-from beso.method import ModelConfig
 from beso.networks.transformer import ScoreTransformer
 
 
@@ -60,7 +60,7 @@ SAMPLING = "beso.sampling.diffusion:StudentSampling"
 
 
 class Method(ScorePolicy):
-    """The student. See beso.method.BaseMethod."""
+    """The student. See beso.core.method.BaseMethod."""
 
     def __init__(self, config: Config, sampling: Acting | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__(

@@ -18,15 +18,15 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from beso.config import require, require_positive, require_rate
+from beso.core.memory import Memory, replans
+from beso.core.method import BaseMethod, ModelConfig, SamplingConfig
+from beso.core.noise import Noise
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
-from beso.memory import Memory, replans
-from beso.method import BaseMethod, ModelConfig, SamplingConfig
 from beso.networks import logistic_mixture
 from beso.networks.layers import dropout
 from beso.networks.mlp import MLP
 from beso.networks.sequence import SequenceTransformer
-from beso.noise import Noise
 
 KL_BALANCE = 0.8  # share of the KL divergence's gradient that moves the prior (HULC)
 SMALLEST_STD = 1e-4
@@ -109,7 +109,7 @@ class Gaussian(NamedTuple):
 
 
 class Method(nn.Module, BaseMethod):
-    """The policy. See beso.method.BaseMethod. It remembers plan, decoder state and steps since the episode's start."""
+    """The policy, see BaseMethod. It remembers plan, decoder state and steps since the episode's start."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()

@@ -11,12 +11,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from beso.config import require_positive
+from beso.core.memory import Memory, replans
+from beso.core.method import BaseMethod, ModelConfig, SamplingConfig
+from beso.core.noise import Noise
 from beso.data.spec import Sizes
 from beso.data.windows import Batch
-from beso.memory import Memory, replans
-from beso.method import BaseMethod, ModelConfig, SamplingConfig
 from beso.networks.mlp import MLP
-from beso.noise import Noise
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Sampling(SamplingConfig):
 
 
 class Method(nn.Module, BaseMethod):
-    """The policy. See beso.method.BaseMethod. Its memory holds the sub-goal and the steps since the episode's start."""
+    """The policy, see BaseMethod. Its memory holds the sub-goal and the steps since the episode's start."""
 
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()

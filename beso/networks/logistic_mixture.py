@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from beso.noise import categorical
+from beso.core.noise import categorical
 
 SMALLEST_LOG_SCALE = -7.0
 AT_END = 1e-3  # so near to -1 or 1 a number counts as there (HULC)

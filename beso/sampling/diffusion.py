@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from beso.config import require_name, require_positive
+from beso.core.method import ContextSampling, SamplingConfig
+from beso.core.noise import Noise
 from beso.diffusion.score_policy import DiffusionConfig, ScorePolicy, check_range
-from beso.method import ContextSampling, SamplingConfig
-from beso.noise import Noise
 from beso.sampling.guidance import classifier_free
 from beso.sampling.samplers import SAMPLERS
 from beso.sampling.schedules import SCHEDULES

@@ -23,8 +23,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from beso.core.seeding import generator
 from beso.envs.protocol import Metric
-from beso.seeding import generator
 
 DRAWS = 2000
 NORMAL = 1.96

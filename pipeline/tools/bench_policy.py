@@ -14,10 +14,10 @@ import numpy as np
 import torch
 
 from beso import envs
-from beso.checkpoint import LoadedModel
+from beso.core.checkpoint import LoadedModel
+from beso.core.noise import BatchNoise
 from beso.data import play
 from beso.data.scaling import Scaling
-from beso.noise import BatchNoise
 from beso.policy import BatchPolicy
 from pipeline import paths, profile
 from pipeline.pool import available_workers, map_jobs

@@ -18,10 +18,10 @@ import numpy as np
 import torch
 
 from beso import envs
+from beso.core.device import pick_device
+from beso.core.training_config import TrainingJob
 from beso.data import play
-from beso.device import pick_device
-from beso.training import Training
-from beso.training_config import TrainingJob
+from beso.training.loop import Training
 from pipeline.machine import Machine
 from pipeline.params import load
 from pipeline.recipes import TrainRecipe

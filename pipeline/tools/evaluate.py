@@ -11,10 +11,10 @@ from beso.errors import UserError
 from beso.files import write_text
 from pipeline.machine import Machine
 from pipeline.params import load
+from pipeline.play import evaluation_jobs, play_all
 from pipeline.report.statistics import over_seeds
 from pipeline.report.tables import number
 from pipeline.tools.train import finished
-from stages.evaluate import evaluation_jobs, play_all
 
 
 def evaluate(name: str, seeds: Sequence[int], models: Path, rows: Path | None) -> None:

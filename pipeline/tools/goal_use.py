@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from beso import checkpoint, envs
+from beso import envs
+from beso.core import checkpoint
+from beso.core.device import pick_device
+from beso.core.noise import BatchNoise
+from beso.core.seeding import torch_generator
 from beso.data import play
 from beso.data.play import PlayDataset
 from beso.data.scaling import Scaling
-from beso.device import pick_device
 from beso.errors import UserError
-from beso.noise import BatchNoise
-from beso.seeding import torch_generator
 from pipeline.machine import Machine
 from pipeline.params import load
 
@@ -40,7 +41,7 @@ def errors(
     """Mean squared errors of actions, scaled, with an episode's own states and with the next one's as goal.
 
     Args:
-        policy: see beso.method.BaseMethod; what it remembers is empty at every step.
+        policy: see beso.core.method.BaseMethod; what it remembers is empty at every step.
         episodes: which episodes, indices into the dataset.
         goal_window: states in a goal.
         context: time steps that the policy sees.

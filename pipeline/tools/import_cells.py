@@ -10,9 +10,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from beso import checkpoint, envs
+from beso import envs
+from beso.core import checkpoint
+from beso.core.device import pick_device
 from beso.data import play
-from beso.device import pick_device
 from beso.errors import UserError
 from beso.files import replacing
 from pipeline import scratch

@@ -24,11 +24,13 @@ from typing import Any
 import safetensors.torch
 import torch
 
-from beso import checkpoint, envs, trials
+from beso import envs
+from beso.core import checkpoint
 from beso.data import play
+from beso.encoders import encoder
 from beso.errors import UserError
+from beso.evaluation import trials
 from beso.files import read_json, replacing, sha256, write_json, write_text
-from beso.images import encoder
 from pipeline import paths
 from pipeline.params import PATH, Params, load
 from pipeline.report.gather import SUMMARY, summary

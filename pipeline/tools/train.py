@@ -25,12 +25,13 @@ from pathlib import Path
 
 from safetensors import safe_open
 
-from beso import checkpoint, envs
+from beso import envs
+from beso.core import checkpoint
+from beso.core.device import pick_device
+from beso.core.training_config import TrainingJob
 from beso.data import play
-from beso.device import pick_device
 from beso.errors import UserError
 from beso.files import write_text
-from beso.training_config import TrainingJob
 from pipeline import pool, scratch
 from pipeline.machine import Machine
 from pipeline.params import Cell, Params, load

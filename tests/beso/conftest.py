@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from beso import checkpoint, envs, methods, training
+from beso import envs, methods
 from beso.config import build
+from beso.core import checkpoint
+from beso.core.training_config import OptimizationConfig, TrainingConfig, TrainingJob, ValidationConfig
 from beso.data.play import Episode, assemble
-from beso.training_config import OptimizationConfig, TrainingConfig, TrainingJob, ValidationConfig
+from beso.training import loop as training
 
 # The smallest sensible model of every method, as it would stand in params.yaml, and how it generates actions.
 TRANSFORMER = {

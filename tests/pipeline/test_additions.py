@@ -58,7 +58,7 @@ ENVIRONMENT = {
         import numpy as np
 
         from beso.data.play import Episode
-        from beso.seeding import generator
+        from beso.core.seeding import generator
 
 
         def record(seed, index):
@@ -104,7 +104,7 @@ METHOD = '''
     import torch
     from torch import nn
 
-    from beso.method import BaseMethod, ModelConfig, SamplingConfig
+    from beso.core.method import BaseMethod, ModelConfig, SamplingConfig
 
 
     @dataclass(frozen=True)

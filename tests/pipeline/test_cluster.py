@@ -12,14 +12,14 @@ import numpy as np
 import psutil
 import pytest
 import torch
-
-from beso.errors import UserError
-from beso.files import write_text
-from pipeline import engine, profile
 from pipeline.cells.collect import collect
 from pipeline.cells.evaluation import evaluate_cell
 from pipeline.cells.training import train_cell
 from pipeline.cells.trials import make_trials
+
+from beso.errors import UserError
+from beso.files import write_text
+from pipeline import engine, profile
 
 from .conftest import Workspace
 

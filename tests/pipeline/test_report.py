@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from pipeline.cells import film
+from pipeline.cells.film import write_video
 from ruamel.yaml import YAML
 
 from beso.errors import CannotDrawError
 from pipeline import params, profile
-from pipeline.cells import film
-from pipeline.cells.film import write_video
 from pipeline.report import page
 from pipeline.report.comparison import places
 from pipeline.report.gather import gather

@@ -9,14 +9,15 @@ import pytest
 import torch
 
 from beso import envs
+from beso.core.seeding import torch_generator
 from beso.data import play, store
+from beso.encoders import encoder
+from beso.encoders.resnet import ResNet18
 from beso.envs.calvin.demonstrations import official, raw, recording
 from beso.errors import UserError
 from beso.files import sha256
-from beso.images import encoder, frames
+from beso.images import frames
 from beso.images.pretraining import Pretraining
-from beso.images.resnet import ResNet18
-from beso.seeding import torch_generator
 from pipeline import paths
 from pipeline import settings as parameters
 from pipeline.machine import Machine
@@ -275,8 +276,6 @@ def test_mistakes_are_one_line_and_leave_nothing(recorded, tmp_path):
     pack()
     with pytest.raises(UserError, match=r"weights.pth has SHA-256 \w+, but features.weights says 00"):
         make_features(given(tmp_path, sha256="00"))
-    with pytest.raises(
-        UserError, match=r"recipes/preprocess/block_push.json is missing: params.yaml has no"
-    ):
+    with pytest.raises(UserError, match=r"recipes/preprocess/block_push.json is missing: params.yaml has no"):
         main("block_push")
     assert not paths.play("calvin").exists()

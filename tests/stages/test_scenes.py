@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from beso.envs.protocol import Outcome
+from pipeline import play as playing
 from pipeline import profile
 from pipeline.machine import Machine
 from pipeline.report import figures
@@ -24,7 +25,7 @@ def colour(seed, goals, episode, part):
 
 
 def played(job, chunks, film=None, witness=None):
-    """What beso.rollout.evaluate answers, without a policy and a simulator; the second episode succeeds."""
+    """What beso.evaluation.rollout.evaluate answers, without a policy and a simulator; the second episode succeeds."""
     rows = []
     for chunk in chunks:
         rows.append([])
@@ -41,7 +42,7 @@ def smoke(monkeypatch, tmp_path):
     """Two models of two methods in CALVIN, five episodes with three tasks in chunks of two, in an empty folder."""
     smoke = profile.load("smoke")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(evaluate, "evaluate", played)
+    monkeypatch.setattr(playing, "evaluate", played)
     monkeypatch.setattr(evaluate, "film_cell", lambda job, target: None)
     room = smoke.environments["calvin"]
     config = dataclasses.replace(room.evaluation, rollouts=5, chunk=2, tasks=room.evaluation.tasks[:3])

@@ -5,10 +5,10 @@ from typing import Any
 
 import torch
 
+from beso.encoders.encoder import DESCRIPTION, load
 from beso.envs.calvin.simulator import CalvinEnv
 from beso.envs.protocol import Encoder, Outcome, Trial, identity
 from beso.files import read_json
-from beso.images.encoder import DESCRIPTION, load
 
 
 def make(render_mode: str | None = None) -> CalvinEnv:

@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from beso.core.seeding import generator, integer_seed
 from beso.envs.calvin.demonstrations.hand import Hand
 from beso.envs.calvin.demonstrations.oracle import PLACINGS, SETTLE_STEPS, perform, prepare
 from beso.envs.calvin.demonstrations.placing_skills import neutral
@@ -27,7 +28,6 @@ from beso.envs.calvin.spec import SPEC
 from beso.envs.protocol import Trial, TrialRequest
 from beso.errors import UserError
 from beso.files import read_json
-from beso.seeding import generator, integer_seed
 
 # Two tasks are of different families, and start with an empty gripper.
 FAMILIES: Final = (

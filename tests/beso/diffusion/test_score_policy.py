@@ -9,11 +9,11 @@ import pytest
 import torch
 from torch import nn
 
+from beso.core.noise import BatchNoise, EpisodeNoise
 from beso.data.windows import Batch
 from beso.diffusion.densities import DENSITIES
 from beso.diffusion.score_policy import DiffusionConfig, ScorePolicy
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
-from beso.noise import BatchNoise, EpisodeNoise
 from beso.sampling.diffusion import DiffusionSampling, GuidedSampling
 from beso.sampling.samplers import SAMPLERS
 from beso.sampling.schedules import SCHEDULES

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 import torch
 
+from beso.core.seeding import torch_generator
 from beso.data.store import write_npy
+from beso.encoders.encoder import Encoding, shifted
 from beso.errors import UserError
 from beso.images import frames, pretraining
-from beso.images.encoder import Encoding, shifted
 from beso.images.pretraining import Pairs, Pretraining, pretrain
-from beso.seeding import torch_generator
 
 CPU = torch.device("cpu")
 SIZE = 32

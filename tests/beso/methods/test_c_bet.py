@@ -3,9 +3,9 @@ import math
 import pytest
 import torch
 
+from beso.core.noise import BatchNoise
 from beso.errors import UserError
 from beso.methods import c_bet
-from beso.noise import BatchNoise
 from tests.beso.methods import SIZES, batch
 
 CONFIG = c_bet.Config(width=16, layers=1, heads=2, window=3, dropout=0.0, bins=3, offset_weight=10.0)

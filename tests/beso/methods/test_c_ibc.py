@@ -3,8 +3,8 @@ import itertools
 import pytest
 import torch
 
+from beso.core.noise import BatchNoise
 from beso.methods import c_ibc
-from beso.noise import BatchNoise
 from tests.beso.methods import SIZES, batch
 
 CONFIG = c_ibc.Config(width=16, layers=2, counter_examples=6, energy_penalty=0.0, gradient_penalty=0.0)

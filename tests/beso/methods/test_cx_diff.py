@@ -3,9 +3,9 @@ import math
 import pytest
 import torch
 
+from beso.core.noise import BatchNoise
 from beso.methods import cx_diff
 from beso.networks.transformer import TransformerConfig
-from beso.noise import BatchNoise
 from tests.beso.methods import SIZES, batch
 
 TRANSFORMER = TransformerConfig(16, 1, 2, 3, 0.0, 0.0, "sequential")

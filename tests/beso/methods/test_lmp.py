@@ -3,9 +3,9 @@ import itertools
 import pytest
 import torch
 
+from beso.core.noise import BatchNoise
 from beso.methods import lmp
 from beso.networks import logistic_mixture
-from beso.noise import BatchNoise
 from tests.beso.methods import SIZES, batch
 
 CONFIG = {

@@ -1,4 +1,4 @@
-"""What every method promises (beso.method.BaseMethod), and that each learns what it is for."""
+"""What every method promises (beso.core.method.BaseMethod), and that each learns what it is for."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,8 @@ import torch
 
 from beso import methods
 from beso.config import build
+from beso.core.noise import EpisodeNoise
 from beso.errors import UserError
-from beso.noise import EpisodeNoise
 from tests.beso.conftest import TEACHERS
 from tests.beso.methods import SIZES, batch
 

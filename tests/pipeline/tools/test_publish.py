@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import safetensors.torch
 
-from beso import checkpoint
+from beso.core import checkpoint
 from beso.errors import UserError
 from beso.policy import Policy
 from pipeline.params import PATH, load

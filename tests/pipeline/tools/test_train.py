@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pipeline.cells.training import train_cell
 
 from beso import envs
 from beso.data import play
 from beso.errors import UserError
 from pipeline import cells, params, paths, profile
-from pipeline.cells.training import train_cell
 from pipeline.tools import bench_training, publish
 from pipeline.tools.import_cells import import_cells
 from pipeline.tools.train import train_cells

@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 
+from beso.core.seeding import generator
 from beso.data.play import Episode
 from beso.envs.block_push.simulator.environment import PAIRS, BlockPushEnv
 from beso.envs.block_push.spec import LONGEST
-from beso.seeding import generator
 
 PLANS = (  # ((first block, its target), (second block, its target))
     ((0, 0), (1, 1)),

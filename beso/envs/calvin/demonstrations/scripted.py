@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from beso.core.seeding import generator
 from beso.envs.calvin.demonstrations.player import Player, Segment, block_lost, draw_start
 from beso.envs.calvin.simulator import tasks
 from beso.envs.calvin.simulator.observations import GRIPPER_COMMAND, TCP_EULER, TCP_POSITION
 from beso.envs.calvin.simulator.play_table import PlayTable
-from beso.seeding import generator
 
 
 @dataclass(frozen=True)

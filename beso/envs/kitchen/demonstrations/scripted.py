@@ -10,11 +10,11 @@ import functools
 
 import numpy as np
 
+from beso.core.seeding import generator
 from beso.data.play import Episode
 from beso.envs.kitchen.demonstrations.player import LIMIT, Player
 from beso.envs.kitchen.simulator import KitchenEnv
 from beso.envs.kitchen.spec import TASKS
-from beso.seeding import generator
 
 LETTERS = {task.letter: index for index, task in enumerate(TASKS)}
 HUMAN_TASK_SETS = tuple(

@@ -6,21 +6,22 @@ import numpy as np
 import pytest
 import torch
 
-from beso import checkpoint, methods
-from beso import trials as stored
+from beso import methods
 from beso.config import build
+from beso.core import checkpoint
 from beso.data import play
+from beso.encoders import encoder as images
+from beso.encoders.resnet import ResNet18
 from beso.envs.calvin import evaluation, trials
 from beso.envs.calvin.simulator.observations import DRAWER, FIXTURES, LED, SLIDE
 from beso.envs.calvin.spec import SPEC
 from beso.envs.protocol import Outcome, Trial, TrialRequest
 from beso.errors import UserError
-from beso.evaluation_config import Chunk, EvaluationConfig, chunks
-from beso.images import encoder as images
-from beso.images.resnet import ResNet18
+from beso.evaluation import trials as stored
+from beso.evaluation.config import Chunk, EvaluationConfig, chunks
+from beso.evaluation.rollout import EvaluationJob, evaluate
 from beso.policy import Policy
-from beso.rollout import EvaluationJob, evaluate
-from beso.training import train
+from beso.training.loop import train
 from pipeline.pool import map_jobs
 
 IDLE = np.array([0, 0, 0, 0, 0, 0, 1.0])

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from beso.core.seeding import generator
 from beso.data import play
 from beso.envs.kitchen.demonstrations.player import LIMIT, Player
 from beso.envs.kitchen.demonstrations.scripted import HUMAN_TASK_SETS, record, task_set
@@ -8,7 +9,6 @@ from beso.envs.kitchen.demonstrations.skills import SKILLS
 from beso.envs.kitchen.report import statistics
 from beso.envs.kitchen.simulator import KitchenEnv
 from beso.envs.kitchen.spec import SPEC, done
-from beso.seeding import generator
 
 MODES = [(task, mode) for task, skill in SKILLS.items() for mode in skill.modes]
 

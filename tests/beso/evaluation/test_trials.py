@@ -3,10 +3,10 @@ import json
 import numpy as np
 import pytest
 
-from beso import trials
 from beso.data import play
 from beso.envs.protocol import Trial, TrialRequest, demonstration_trials
 from beso.errors import UserError
+from beso.evaluation import trials
 
 
 def trial(number, **options):

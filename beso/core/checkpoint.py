@@ -15,13 +15,13 @@ from torch import Tensor
 
 from beso import methods
 from beso.config import build
+from beso.core.training_config import TrainingJob
 from beso.data.scaling import Scaling
 from beso.data.spec import Sizes
+from beso.encoders import finetuned
+from beso.encoders.encoder import Encoding, FrameEncoder
 from beso.errors import UserError
 from beso.files import read_json, replacing, write_json
-from beso.images import finetuned
-from beso.images.encoder import Encoding, FrameEncoder
-from beso.training_config import TrainingJob
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class LoadedModel:
     """A trained model, in evaluation mode, in its own units.
 
     Attributes:
-        method: network and acting, see beso.method.BaseMethod.
+        method: network and acting, see beso.core.method.BaseMethod.
         scaling: between raw and its own units.
         context: time steps that it sees in rollouts.
         encode: its own encoder, where it was trained with one: frames (B, H, W, 3) -> raw observations (B, O).

@@ -10,13 +10,14 @@ import safetensors.torch
 import torch
 
 import beso
-from beso import methods, training
+from beso import methods
 from beso.config import build
+from beso.core.seeding import torch_generator
+from beso.core.training_config import OptimizationConfig, ValidationConfig
 from beso.data.scaling import Scaling
 from beso.data.windows import WindowConfig, Windows
 from beso.errors import UserError
-from beso.seeding import torch_generator
-from beso.training_config import OptimizationConfig, ValidationConfig
+from beso.training import loop as training
 
 CPU = torch.device("cpu")
 
@@ -307,7 +308,8 @@ def test_training_imports_no_sampler(make_job):
     """What trains does not depend on samplers and guidance: a cell retrains for its own reasons alone."""
     code = """
 import sys
-from beso import methods, training
+from beso import methods
+from beso.training import loop as training
 from beso.config import build
 methods.load("c_beso"), methods.load("cfg_beso"), methods.load("cx_diff")
 print([name for name in sys.modules if name.startswith("beso.sampling")])
@@ -325,7 +327,9 @@ import sys
 import numpy.random, safetensors.torch, torch, tqdm
 
 before = set(sys.modules)
-from beso import checkpoint, envs, methods, policy, training
+from beso import envs, methods, policy
+from beso.core import checkpoint
+from beso.training import loop as training
 for name in methods.names():
     methods.load(name)
 for name in envs.names():

@@ -1,7 +1,7 @@
 """Seeded evaluation, batched over environments.
 
 Episodes run in fixed chunks; a chunk steps its environments together and asks the policy once a step for all that are
-still running. Starts and goals are made beforehand (beso.trials), and the policy noise of an episode comes from a
+still running. Starts and goals are made beforehand (see trials.py), and the policy noise of an episode comes from a
 generator named after its model seed and number, so that every method meets the same starts and the number of workers
 never changes a number.
 """
@@ -14,13 +14,15 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from beso import checkpoint, envs, trials
-from beso.device import pick_device
+from beso import envs
+from beso.core import checkpoint
+from beso.core.device import pick_device
+from beso.core.noise import EpisodeNoise
+from beso.core.seeding import generator
 from beso.envs.protocol import Outcome, Trial
-from beso.evaluation_config import Chunk, EvaluationConfig
-from beso.noise import EpisodeNoise
+from beso.evaluation import trials
+from beso.evaluation.config import Chunk, EvaluationConfig
 from beso.policy import BatchPolicy
-from beso.seeding import generator
 
 Row = dict[str, Any]
 Film = Callable[[np.ndarray], None]

@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from beso.noise import BatchNoise, EpisodeNoise, categorical
+from beso.core.noise import BatchNoise, EpisodeNoise, categorical
 
 
 def episodes(*numbers):

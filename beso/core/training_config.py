@@ -18,7 +18,7 @@ class OptimizationConfig:
 
     Attributes:
         steps, batch_size: number of updates and samples an update.
-        optimizer: "adam", "adamw" or "muon" (see beso.optimizers).
+        optimizer: "adam", "adamw" or "muon" (see beso.training.optimizers).
         learning_rate, weight_decay: for all parameters.
         schedule: "constant", "cosine" (to 0 at the last step) or "step" (times 0.99 every 100 steps).
         ema_decay: of the averaged weights, which are the ones saved; 0 saves the last weights. At step n the decay is

@@ -16,9 +16,9 @@ import torch
 from torch import Tensor, nn
 
 from beso.config import build, require, require_positive
+from beso.encoders.resnet import FEATURES, ResNet18, check_width
 from beso.errors import UserError
 from beso.files import check_sha256, read_json, replacing, sha256, write_json
-from beso.images.resnet import FEATURES, ResNet18, check_width
 
 WEIGHTS, DESCRIPTION = "encoder.safetensors", "encoder.json"
 BATCH: Final = 16  # always so many frames at a time: another batch size is another order of sums in the products
@@ -29,7 +29,7 @@ class Encoding:
     """How frames become features, apart from the weights.
 
     Attributes:
-        width: of the network, see beso.images.resnet.
+        width: of the network, see beso.encoders.resnet.
         size: height and width of the frames, pixels.
         mean, std: by which red, green and blue, in [0, 1], are standardised.
         precision: "fp32", or "bf16" for autocast.
@@ -107,7 +107,7 @@ def save(
     """Write the encoder's two files into an existing folder.
 
     Args:
-        shift: of an encoder that is trained on with each policy (beso.images.finetuned): the largest random shift.
+        shift: of an encoder that is trained on with each policy (beso.encoders.finetuned): the largest random shift.
     """
     weights = {name: value.cpu().contiguous() for name, value in network.state_dict().items()}
     with replacing(folder / WEIGHTS) as temporary:

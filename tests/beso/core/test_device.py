@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from beso.device import pick_device, pick_precision
+from beso.core.device import pick_device, pick_precision
 from beso.errors import UserError
 
 CPU = torch.device("cpu")

@@ -4,18 +4,20 @@ import numpy as np
 import pytest
 import torch
 
-from beso import checkpoint, envs, methods, trials
+from beso import envs, methods
 from beso.config import build
+from beso.core import checkpoint
+from beso.core.noise import EpisodeNoise
+from beso.core.seeding import generator
 from beso.data import play
 from beso.data.scaling import CLIP, Scaling
 from beso.envs.protocol import TrialRequest
 from beso.errors import UserError
-from beso.evaluation_config import Chunk, EvaluationConfig, chunks
-from beso.noise import EpisodeNoise
+from beso.evaluation import trials
+from beso.evaluation.config import Chunk, EvaluationConfig, chunks
+from beso.evaluation.rollout import EvaluationJob, evaluate
 from beso.policy import BatchPolicy, Policy
-from beso.rollout import EvaluationJob, evaluate
-from beso.seeding import generator
-from beso.training import train
+from beso.training.loop import train
 
 CPU = torch.device("cpu")
 CONFIG = EvaluationConfig(seed=3, rollouts=5, goals=("training", "held_out"), chunk=2, max_actions=4)

@@ -11,17 +11,18 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from beso import methods, training
+from beso import methods
+from beso.core.seeding import torch_generator
 from beso.data import play
 from beso.data.play import PlayDataset
 from beso.data.scaling import Scaling
 from beso.data.windows import WindowConfig, Windows
+from beso.encoders import encoder, finetuned
+from beso.encoders.encoder import shifted
+from beso.encoders.resnet import ResNet18
 from beso.envs.calvin.spec import SPEC
 from beso.errors import UserError
-from beso.images import encoder, finetuned
-from beso.images.encoder import shifted
-from beso.images.resnet import ResNet18
-from beso.seeding import torch_generator
+from beso.training import loop as training
 
 CPU = torch.device("cpu")
 SIZE = 48

@@ -7,11 +7,12 @@ import pytest
 import safetensors.torch
 import torch
 
-from beso import checkpoint, methods
+from beso import methods
 from beso.config import build
+from beso.core import checkpoint
+from beso.core.noise import EpisodeNoise
 from beso.data.scaling import Scaling
 from beso.errors import UserError
-from beso.noise import EpisodeNoise
 
 CPU = torch.device("cpu")
 

@@ -19,17 +19,19 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from beso import checkpoint, cuda_graph, methods, optimizers
-from beso.checkpoint import TrainedModel
+from beso import methods
+from beso.core import checkpoint
+from beso.core.checkpoint import TrainedModel
+from beso.core.seeding import integer_seed, torch_generator
+from beso.core.training_config import TrainingJob
 from beso.data.play import PlayDataset
 from beso.data.scaling import Scaling
 from beso.data.spec import PlaySpec
 from beso.data.windows import WindowConfig, Windows
+from beso.encoders import finetuned
 from beso.errors import UserError
-from beso.images import finetuned
-from beso.loop_state import LoopState
-from beso.seeding import integer_seed, torch_generator
-from beso.training_config import TrainingJob
+from beso.training import cuda_graph, optimizers
+from beso.training.loop_state import LoopState
 
 log = logging.getLogger(__name__)
 

@@ -5,9 +5,9 @@ import pytest
 import safetensors.torch
 import torch
 
+from beso.encoders import encoder
+from beso.encoders.resnet import ResNet18
 from beso.errors import UserError
-from beso.images import encoder
-from beso.images.resnet import ResNet18
 
 CPU = torch.device("cpu")
 SIZE = 40

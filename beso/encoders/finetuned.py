@@ -24,11 +24,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from beso.encoders import encoder
+from beso.encoders.encoder import DESCRIPTION, Encoding, shifted
+from beso.encoders.resnet import FEATURES, ResNet18
 from beso.errors import UserError
 from beso.files import read_json
-from beso.images import encoder
-from beso.images.encoder import DESCRIPTION, Encoding, shifted
-from beso.images.resnet import FEATURES, ResNet18
 
 if TYPE_CHECKING:
     from beso.data.play import PlayDataset
@@ -51,7 +51,7 @@ class Normalised(nn.Module):
 
 
 class Finetuned(nn.Module):
-    """Policy and encoder as one, as far as training asks (beso.method.BaseMethod).
+    """Policy and encoder as one, as far as training asks (beso.core.method.BaseMethod).
 
     Args:
         policy: a policy that sees features.
@@ -80,11 +80,11 @@ class Finetuned(nn.Module):
             norm.momentum = None  # of all batches since a reset, each counts the same
 
     def prepare(self, actions: Tensor, seed: int) -> None:
-        """See beso.method.BaseMethod."""
+        """See beso.core.method.BaseMethod."""
         self.policy.prepare(actions, seed)
 
     def schedule(self, done: float) -> bool:
-        """See beso.method.BaseMethod."""
+        """See beso.core.method.BaseMethod."""
         return self.policy.schedule(done)
 
     def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:

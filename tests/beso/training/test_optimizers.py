@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from beso.networks.transformer import ScoreTransformer, TransformerConfig
-from beso.optimizers import MOMENTUM, RMS, Muon, make, orthogonalise
+from beso.training.optimizers import MOMENTUM, RMS, Muon, make, orthogonalise
 
 
 def random(*shape, seed=0):

@@ -11,10 +11,10 @@ if TYPE_CHECKING:  # a cell that only checks parameters does not depend on these
     import torch
     from torch import Tensor
 
+    from beso.core.memory import Memory
+    from beso.core.noise import Noise
     from beso.data.spec import Sizes
     from beso.data.windows import Batch
-    from beso.memory import Memory
-    from beso.noise import Noise
 
 
 class SamplingConfig:

@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import torch
 
-from beso.seeding import generator, integer_seed, seed_sequence, torch_generator
+from beso.core.seeding import generator, integer_seed, seed_sequence, torch_generator
 
 NAMES = [(0, "a"), (0, "a", 0), (0, "a", 1), (0, "a", 1, 0), (0, "a", 0, 1), (0, "b", 0), (1, "a", 0), (0, "b", 1)]
 

@@ -7,13 +7,13 @@ archived one, which has all that is needed for the policies whose weights it kee
 from dataclasses import replace
 from pathlib import Path
 
-from beso import checkpoint
+from beso.core import checkpoint
 from beso.errors import UserError
 from pipeline.film import film_episode
 from pipeline.machine import Machine
 from pipeline.params import PATH, load
+from pipeline.play import evaluation_jobs
 from pipeline.tools.train import finished
-from stages.evaluate import evaluation_jobs
 
 
 def watch(name: str, seed: int, episode: int, models: Path, run: Path, film: Path) -> None:

@@ -3,7 +3,7 @@ import pytest
 import torch
 from scipy.signal import correlate
 
-from beso.images.resnet import WIDTHS, ResNet18
+from beso.encoders.resnet import WIDTHS, ResNet18
 
 
 def make(width=8, seed=0):
