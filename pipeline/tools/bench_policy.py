@@ -50,11 +50,10 @@ def bench(name: str) -> None:
     cores = available_workers()
     count = sum(p.numel() for p in policy.parameters())
     print(f"{platform.machine()}, {cores} cores, torch {torch.__version__}; {name}, {count:,} parameters")
-    for threads in sorted({1, cores}):
-        torch.set_num_threads(threads)
-        for batch in (1, chunk):
-            q1, median, q3 = np.percentile(time_calls(policy, context, spec.sizes, batch, CALLS), [25, 50, 75])
-            print(f"an action of each of {batch}, {threads} threads: {median:.4g} ms [{q1:.4g}, {q3:.4g}]")
+    torch.set_num_threads(1)  # as policies are evaluated
+    for batch in (1, chunk):
+        q1, median, q3 = np.percentile(time_calls(policy, context, spec.sizes, batch, CALLS), [25, 50, 75])
+        print(f"an action of each of {batch} environments, one call: {median:.4g} ms [{q1:.4g}, {q3:.4g}]")
     start, end, _ = _play(setting, 1, 5 * STEPS)
     single = 5 * STEPS / (end - start)
     print(f"rollouts, one environment: {single:.1f} steps/s")

@@ -32,7 +32,7 @@ from pipeline import paths, profile
 from pipeline.params import PATH, Params
 from pipeline.report.statistics import over_seeds
 
-REPEATS = 1
+REPEATS = 3
 SEEDS, ROLLOUTS = 1000, 100
 FRAMES = 100 * 3600 * 30  # a hundred hours at CALVIN's rate
 STRETCH = 50  # frames of a recorded stretch of play
