@@ -228,19 +228,7 @@ def goal_use(cell: str) -> None:
 
 @cli.group()
 def bench() -> None:
-    """Measure speed and memory on this machine."""
-
-
-@bench.command("policy")
-@CELL
-def bench_policy(cell: str) -> None:
-    """Calls, rollouts and memory of a policy of the paper's size.
-
-    It needs `beso run collect` (or `features`). Close other programs first.
-    """
-    from pipeline.tools.bench_policy import bench
-
-    bench(cell)
+    """Measure speed and memory on this machine. Close other programs first."""
 
 
 @bench.command("training")

@@ -15,10 +15,9 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -38,29 +37,27 @@ FRAMES = 100 * 3600 * 30  # a hundred hours at CALVIN's rate
 STRETCH = 50  # frames of a recorded stretch of play
 PLAY_EPISODE = 500  # steps of an episode of made-up features
 COLUMNS = ["stage", "at sizes", "s", "peak memory, MiB", "written, MiB", "at", "core-hours", "memory, GiB", "disk, GiB"]
+START, INTERVAL = "train, start", "tables, one interval"
+GROWING = (START, INTERVAL)  # peak memory is a straight line, too; of the others the largest measured is given
 Work = Callable[[int], None]  # of one size, in the working folder
 
 
-@dataclass(frozen=True)
-class Part:
+class Part(NamedTuple):
     """A stage, or a part of one.
 
     Attributes:
         name, unit: what is measured, and what its cost grows with.
         sizes, target: numbers of units, measured and extrapolated to.
-        work, before: what is measured, and what it needs.
-        key: of params.yaml, dotted, that is the size.
-        memory_grows: whether peak memory is a straight line, too; otherwise the largest measured is given.
+        key: of params.yaml, dotted, that is the size; "": there is none.
+        work: the last is measured, the others are what it needs.
     """
 
     name: str
     unit: str
     sizes: tuple[int, int, int]
     target: int
-    work: Work
-    before: tuple[Work, ...] = ()
-    key: str = ""
-    memory_grows: bool = False
+    key: str
+    work: tuple[Work, ...]
 
 
 def stage(name: str, arguments: tuple[str, ...], _: int) -> None:
@@ -93,27 +90,18 @@ def parts(paper: Params, states: str, images: str, method: str) -> list[Part]:
         f"environments.{states}.evaluation.rollouts",
         f"methods.{method}.train.{states}.optimization.steps",
     )
-    unit, few, many = f"stretches of {STRETCH} frames", (2, 4, 8), FRAMES // STRETCH
+    recorded = (f"stretches of {STRETCH} frames", (2, 4, 8), FRAMES // STRETCH, stretches)
+    played, zeros = SEEDS * 2 * ROLLOUTS, partial(write_features, images)
     return [
-        Part("collect, states", "demonstrations", (4, 8, 16), 1000, collect, (), demonstrations),
-        Part("collect, images", unit, few, many, record, (), stretches),
-        Part("preprocess", unit, few, many, pack, (record,), stretches),
-        Part("features", unit, few, many, encode, (record, pack), stretches),
-        Part("train, states", "updates", (1, 2, 4), SEEDS * updates, train, (collect,), steps),
-        Part(
-            "train, start",
-            "steps of play",
-            (20_000, 40_000, 80_000),
-            FRAMES,
-            first_update,
-            (partial(write_features, images),),
-            memory_grows=True,
-        ),
-        Part("trials", "episodes", (1000, 2000, 4000), SEEDS * 2 * ROLLOUTS, make_trials, (collect,), rollouts),
-        Part(
-            "evaluate", "episodes", (4, 8, 12), SEEDS * 2 * ROLLOUTS, evaluate, (collect, make_trials, train), rollouts
-        ),
-        Part("tables, one interval", "seeds", (50, 100, 200), SEEDS, partial(interval, states), memory_grows=True),
+        Part("collect, states", "demonstrations", (4, 8, 16), 1000, demonstrations, (collect,)),
+        Part("collect, images", *recorded, (record,)),
+        Part("preprocess", *recorded, (record, pack)),
+        Part("features", *recorded, (record, pack, encode)),
+        Part("train, states", "updates", (1, 2, 4), SEEDS * updates, steps, (collect, train)),
+        Part(START, "steps of play", (20_000, 40_000, 80_000), FRAMES, "", (zeros, first_update)),
+        Part("trials", "episodes", (1000, 2000, 4000), played, rollouts, (collect, make_trials)),
+        Part("evaluate", "episodes", (4, 8, 12), played, rollouts, (collect, make_trials, train, evaluate)),
+        Part(INTERVAL, "seeds", (50, 100, 200), SEEDS, "", (partial(interval, states),)),
     ]
 
 
@@ -154,7 +142,7 @@ def _write_parameters(text: str, changes: dict[str, Any]) -> None:
         yaml.dump(values, file)
 
 
-def _measure(work: Work, size: int) -> tuple[float, float]:
+def _run(work: Work, size: int) -> tuple[float, float]:
     """Seconds of some work and its peak memory, bytes, in this process and folder."""
     torch.set_num_threads(1)
     start = time.perf_counter()
@@ -163,28 +151,27 @@ def _measure(work: Work, size: int) -> tuple[float, float]:
     return time.perf_counter() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def _in_process(work: Work, size: int) -> tuple[float, float]:
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(_measure, (work, size))
-
-
-def _written() -> int:
-    return sum(path.stat().st_size for path in Path().rglob("*") if path.is_file())
-
-
 def _median(part: Part, size: int, text: str, changes: dict[str, Any]) -> tuple[float, float, float]:
     """Seconds and peak memory, medians over repeats in processes of their own, and bytes written."""
+
+    def run(work: Work) -> tuple[float, float]:
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            return pool.apply(_run, (work, size))
+
+    def written() -> int:
+        return sum(path.stat().st_size for path in Path().rglob("*") if path.is_file())
+
     home = Path.cwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         try:
             _write_parameters(text, changes | ({part.key: size} if part.key else {}))
-            for work in part.before:
-                _in_process(work, size)
-            before = _written()
-            found = [_in_process(part.work, size) for _ in range(REPEATS)]
+            for work in part.work[:-1]:
+                run(work)
+            before = written()
+            found = [run(part.work[-1]) for _ in range(REPEATS)]
             seconds, memory = (statistics.median(values) for values in zip(*found, strict=True))
-            return seconds, memory, _written() - before
+            return seconds, memory, written() - before
         finally:
             os.chdir(home)
 
@@ -193,7 +180,7 @@ def _row(part: Part, measured: np.ndarray) -> list[str]:
     """A row of the table, from (3 sizes, 3) seconds, peak memory and bytes."""
     slopes, starts = np.polyfit(part.sizes, measured, 1)
     seconds, memory, disk = slopes * part.target + starts
-    memory = memory if part.memory_grows else measured[:, 1].max()
+    memory = memory if part.name in GROWING else measured[:, 1].max()
     return [
         part.name,
         f"{part.unit}: " + ", ".join(f"{size:,}" for size in part.sizes),
