@@ -236,7 +236,7 @@ def goal_use(cell: str) -> None:
 
 @cli.group()
 def bench() -> None:
-    """Measure speed and memory on this machine."""
+    """Measure speed and memory on this machine. Close other programs first."""
 
 
 @bench.command("policy")
@@ -244,7 +244,7 @@ def bench() -> None:
 def bench_policy(cell: str) -> None:
     """Calls, rollouts and memory of a policy of the paper's size.
 
-    It needs `beso run collect` (or `features`). Close other programs first.
+    It needs the play data: `beso run collect`.
     """
     from pipeline.tools.bench_policy import bench
 
