@@ -6,7 +6,6 @@ import pkgutil
 import sys
 
 import stages
-from beso.errors import UserError
 from pipeline.stage import guard
 
 
@@ -14,12 +13,17 @@ def main(*arguments: str) -> None:
     names = sorted(m.name for m in pkgutil.iter_modules(stages.__path__) if not m.name.startswith("_"))
     name, given = (arguments or ("",))[0], arguments[1:]
     if name not in names:
-        raise UserError(f"usage: python -m stages STAGE [NAME ...], where STAGE is one of {', '.join(names)}")
+        _usage(f"STAGE [NAME ...], where STAGE is one of {', '.join(names)}")
     function = importlib.import_module(f"stages.{name}").main
     wanted = list(inspect.signature(function).parameters)
     if len(given) != len(wanted):
-        raise UserError(f"usage: python -m stages {' '.join([name, *(w.upper() for w in wanted)])}")
+        _usage(" ".join([name, *(w.upper() for w in wanted)]))
     function(*given)
+
+
+def _usage(text: str) -> None:
+    print(f"usage: python -m stages {text}", file=sys.stderr)
+    sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -95,30 +95,42 @@ class Workspace:
         return self.run("dvc", *arguments, **keywords)
 
     def repro(self, *arguments):
-        """Names of the stages that really ran."""
+        """Names of the stages that really ran, but for `resolve`, which every change of params.yaml runs."""
         output = self.dvc("repro", *arguments).stdout
-        return [line.split("'")[1] for line in output.splitlines() if line.startswith("Running stage")]
+        ran = [line.split("'")[1] for line in output.splitlines() if line.startswith("Running stage")]
+        return [name for name in ran if name != "resolve"]
+
+    def stage(self, name, *arguments, **keywords):
+        """Run a stage outside DVC, with the parameters that params.yaml has now."""
+        self.python("-m", "stages", "resolve")
+        return self.python("-m", "stages", name, *arguments, **keywords)
 
     def stages(self):
         """Names of all stages."""
         return set(self.dvc("stage", "list", "--name-only").stdout.split())
 
     def stale(self, *targets):
-        """Names of the stages of which an input differs from what dvc.lock says."""
+        """Names of the stages of which an input differs from what dvc.lock says, the parameters resolved."""
+        self.dvc("repro", "resolve")
         return set(json.loads(self.dvc("status", "--json", *targets).stdout))
 
     def set(self, key, value):
-        """Change one parameter as an editor would."""
+        """Change one parameter as an editor would, or add it."""
         yaml = YAML()
         path = self.folder / "params.yaml"
         values = yaml.load(path.read_text())
         inner = values
         *parents, last = key.split(".")
         for name in parents:
-            inner = inner[name]
+            inner = inner.setdefault(name, {})
         inner[last] = value
         with path.open("w") as file:
             yaml.dump(values, file)
+
+    def machine(self, **values):
+        """Write machine.yaml."""
+        with (self.folder / "machine.yaml").open("w") as file:
+            YAML().dump(values, file)
 
     def lock(self):
         """Hashes of all outputs by path, from dvc.lock."""
@@ -161,7 +173,7 @@ SMALL = ("gcbc", "c_beso", "c_beso_film", "c_beso_one_step")
 
 
 def leave_out(workspace):
-    """Make of a finished workspace one of block push alone, with few cells, one study and one film."""
+    """Make of a finished workspace one of block push alone, with few cells and one study."""
     yaml, path, lock = YAML(), workspace.folder / "params.yaml", workspace.folder / "dvc.lock"
     values = yaml.load(path.read_text())
     kept = {
@@ -169,13 +181,12 @@ def leave_out(workspace):
         "images": [],
         "cells": [f"block_push-{method}" for method in SMALL],
         "studies": ["samplers_block_push"],
-        "films": ["block_push-c_beso"],
-        "methods": [*SMALL, "distilled", *values["fork"]["methods"]],
+        "methods": [*SMALL, "distilled"],
     }
     for part, names in kept.items():
         for name in values[part].keys() - set(names):
             del values[part][name]
-    values["machine"]["workers"] = 1  # workers take longer to start than such stages to run
+    workspace.machine(workers=1)  # workers take longer to start than such stages to run
     with path.open("w") as file:
         yaml.dump(values, file)
     names = workspace.stages()

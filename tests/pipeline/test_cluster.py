@@ -6,20 +6,23 @@ import signal
 import sys
 import threading
 import time
+import types
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
 import torch
-from pipeline.cells.collect import collect
-from pipeline.cells.evaluation import evaluate_cell
-from pipeline.cells.training import train_cell
-from pipeline.cells.trials import make_trials
 
 from beso.errors import UserError
 from beso.files import write_text
 from pipeline import engine, profile
+from pipeline.machine import Machine
+from stages import resolve
+from stages.collect import collect
+from stages.evaluate import evaluate_cell
+from stages.train import train_cell
+from stages.trials import make_trials
 
 from .conftest import Workspace
 
@@ -48,21 +51,21 @@ def wait(until, seconds=240):
 
 def test_no_cluster_is_one_line(smoke):
     """First of all: later there is one."""
-    machine = dataclasses.replace(smoke.machine, device="cpu", engine="ray")
-    with pytest.raises(UserError, match=r"^machine.ray_address = auto: no connection to a Ray cluster .*$"):
+    machine = Machine(device="cpu", engine="ray")
+    with pytest.raises(UserError, match=r"^machine.yaml: ray_address = auto: no connection to a Ray cluster .*$"):
         list(engine.map_jobs(describe, [(None, 0)], machine))
 
 
 def test_missing_ray_is_one_line(smoke, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    machine = dataclasses.replace(smoke.machine, device="cpu", engine="ray")
-    with pytest.raises(UserError, match=r"^machine.engine = ray: Ray is not installed; pip install .*$"):
+    machine = Machine(device="cpu", engine="ray")
+    with pytest.raises(UserError, match=r"^machine.yaml: engine = ray: Ray is not installed; pip install .*$"):
         list(engine.map_jobs(describe, [(None, 0)], machine))
 
 
 def test_ray_needs_the_device_to_be_named(smoke):
     with pytest.raises(ValueError, match="device = auto: engine ray needs cpu"):
-        dataclasses.replace(smoke.machine, engine="ray")
+        Machine(engine="ray")
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +90,8 @@ def descendants():
 
 
 @pytest.fixture
-def machine(cluster, smoke):
-    return dataclasses.replace(smoke.machine, workers=0, device="cpu", engine="ray", ray_address=cluster.address)
+def machine(cluster):
+    return Machine(device="cpu", save_seconds=0, engine="ray", ray_address=cluster.address)
 
 
 def kill_second_node(cluster):
@@ -183,41 +186,41 @@ def contents(folder):
 
 
 @pytest.fixture
-def params(machine, smoke, tmp_path, monkeypatch):
-    """A cell of two seeds, large enough to be caught in the middle, in a working directory with play data."""
-    environment, method = smoke.environments[ENVIRONMENT], smoke.methods[METHOD]
-    training = method.train[ENVIRONMENT]
-    longer = dataclasses.replace(training, optimization=dataclasses.replace(training.optimization, steps=300))
-    longer_episodes = dataclasses.replace(environment.evaluation, max_actions=120)
-    values = dataclasses.replace(
-        smoke,
-        machine=dataclasses.replace(machine, save_seconds=0),
-        environments={ENVIRONMENT: dataclasses.replace(environment, evaluation=longer_episodes)},
-        methods={METHOD: dataclasses.replace(method, train={ENVIRONMENT: longer})},
-    )
+def told(smoke, tmp_path, monkeypatch):
+    """Recipes of a cell of two seeds, large enough to be caught in the middle; in an empty working directory."""
+    cell, found = smoke.cell(ENVIRONMENT, METHOD), dict(resolve.recipes(smoke))
+    job, evaluation = cell.train.first, dataclasses.replace(cell.evaluate.evaluation, max_actions=120)
+    optimization = dataclasses.replace(job.config.optimization, steps=300)
+    job = dataclasses.replace(job, config=dataclasses.replace(job.config, optimization=optimization))
+    trials = found[f"trials/{ENVIRONMENT}"]
     monkeypatch.chdir(tmp_path)
-    return values
+    return types.SimpleNamespace(
+        collect=found[f"collect/{ENVIRONMENT}"],
+        trials=dataclasses.replace(trials, settings=dataclasses.replace(trials.settings, evaluation=evaluation)),
+        train=dataclasses.replace(cell.train, first=job),
+        evaluate=dataclasses.replace(cell.evaluate, evaluation=evaluation),
+    )
 
 
-def test_with_a_node_killed_twice_the_bytes_are_the_process_pools(cluster, params, tmp_path):
+def test_with_a_node_killed_twice_the_bytes_are_the_process_pools(cluster, machine, told, tmp_path):
     """The first time in the middle of training, the second time in the middle of rollouts."""
-    collect(params, ENVIRONMENT)
+    collect(told.collect, machine)
     both = tmp_path / "both"
     both.mkdir()
-    list(engine.map_jobs(describe, [(both, 0), (both, 1)], params.machine))  # now no seed waits for a worker's start
-    thread, errors = in_background(train_cell, params, ENVIRONMENT, METHOD)
+    list(engine.map_jobs(describe, [(both, 0), (both, 1)], machine))  # now no seed waits for a worker's start
+    thread, errors = in_background(train_cell, told.train, machine)
     wait(lambda: len(list(Path(".scratch").glob("*/state.safetensors"))) == 2)
     kill_second_node(cluster)
     assert not list(Path(".scratch").glob("*/seed*")), "both nodes were in the middle"
     second = cluster.add_node(**NODE)
-    make_trials(params, ENVIRONMENT)
+    make_trials(told.trials, machine)
     thread.join()
     assert not list(Path(".scratch").glob("*/*"))
 
     import ray
 
     wait(lambda: ray.available_resources().get("CPU") == 2)
-    thread, evaluation_errors = in_background(evaluate_cell, params, ENVIRONMENT, METHOD)
+    thread, evaluation_errors = in_background(evaluate_cell, told.evaluate, machine)
     wait(lambda: simulates(second))
     time.sleep(0.5)
     kill_second_node(cluster)
@@ -228,24 +231,23 @@ def test_with_a_node_killed_twice_the_bytes_are_the_process_pools(cluster, param
 
     outputs = [Path(name) for name in ("data", "models", "curves", "results")]
     from_ray = [contents(folder) for folder in outputs]
-    processes = dataclasses.replace(params, machine=dataclasses.replace(params.machine, engine="processes", workers=2))
-    collect(processes, ENVIRONMENT)
-    make_trials(processes, ENVIRONMENT)
-    train_cell(processes, ENVIRONMENT, METHOD)
-    evaluate_cell(processes, ENVIRONMENT, METHOD)
+    here = Machine(workers=2, device="cpu")
+    collect(told.collect, here)
+    make_trials(told.trials, here)
+    train_cell(told.train, here)
+    evaluate_cell(told.evaluate, here)
     assert [contents(folder) for folder in outputs] == from_ray
     assert all(from_ray)
 
 
-def test_ctrl_c_is_one_line_and_ends_the_jobs(cluster, params, tmp_path):
+def test_ctrl_c_is_one_line_and_ends_the_jobs(cluster, told, tmp_path):
     """The stage as the pipeline runs it, in a process of its own."""
     workspace = Workspace.fresh(tmp_path)
-    for key, value in {"engine": "ray", "device": "cpu", "ray_address": cluster.address, "save_seconds": 0}.items():
-        workspace.set(f"machine.{key}", value)
+    workspace.machine(engine="ray", device="cpu", ray_address=cluster.address, save_seconds=0)
     workspace.set(f"methods.{METHOD}.train.{ENVIRONMENT}.optimization.steps", 100_000)
-    here = dataclasses.replace(params.machine, engine="processes", workers=1)
-    collect(dataclasses.replace(params, machine=here), ENVIRONMENT)
-    process = workspace.start(sys.executable, "-m", "stages.train", ENVIRONMENT, METHOD)
+    workspace.python("-m", "stages", "resolve")
+    collect(told.collect, Machine(workers=1, device="cpu"))
+    process = workspace.start(sys.executable, "-m", "stages", "train", ENVIRONMENT, METHOD)
     wait(lambda: len(list(tmp_path.glob(".scratch/*/state.safetensors"))) == 2)
     os.killpg(process.pid, signal.SIGINT)
     output, _ = process.communicate(timeout=240)

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-TRAIN = (sys.executable, "-m", "stages.train", "block_push", "c_beso")
+TRAIN = (sys.executable, "-m", "stages", "train", "block_push", "c_beso")
 
 
 def wait_for_state(workspace, since=0.0, timeout=240):
@@ -27,7 +27,8 @@ def slow(workspace, env, method):
     """One seed, enough steps to be caught in the middle, state saved after every step."""
     workspace.set(f"environments.{env}.seeds", [1])
     workspace.set(f"methods.{method}.train.{env}.optimization.steps", 400)
-    workspace.set("machine.save_seconds", 0)
+    workspace.machine(save_seconds=0)
+    workspace.python("-m", "stages", "resolve")
     return workspace
 
 
@@ -70,14 +71,15 @@ def test_ctrl_c_is_one_line_and_the_next_repro_continues(small):
     ("command", "limit", "kept"),
     [
         (TRAIN, 20_000, ("data", "models", "curves", "results", "reports")),
-        ((sys.executable, "-m", "stages.collect", "block_push"), 50_000, ("data", "models", "results", "reports")),
-        ((sys.executable, "-m", "stages.tables"), 5_000, ("data", "models", "results")),
+        ((sys.executable, "-m", "stages", "collect", "block_push"), 50_000, ("data", "models", "results", "reports")),
+        ((sys.executable, "-m", "stages", "tables"), 5_000, ("data", "models", "results")),
     ],
 )
 def test_a_full_disk_is_one_line_and_replaces_nothing(small, command, limit, kept):
     """A limit on the size of files stands for the full disk: writing fails half-way in the same place."""
-    small.set("machine.workers", 2)
+    small.machine(workers=2)
     small.set("environments.block_push.training.validation.every", 30)
+    small.python("-m", "stages", "resolve")
     before = small.files(*kept)
     done = small.run(
         *command,

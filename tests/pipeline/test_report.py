@@ -9,12 +9,13 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from pipeline.cells import film
-from pipeline.cells.film import write_video
 from ruamel.yaml import YAML
 
 from beso.errors import CannotDrawError
-from pipeline import params, profile
+from pipeline import film, params, profile
+from pipeline.film import write_video
+from pipeline.machine import Machine
+from pipeline.play import evaluation_jobs
 from pipeline.report import page
 from pipeline.report.comparison import places
 from pipeline.report.gather import gather
@@ -95,7 +96,7 @@ def test_a_study_of_other_values_is_not_taken_for_the_papers(workspace, monkeypa
     workspace.set("studies.noise_block_push.vary", {"sampler": ["euler", "dpmpp_2s", "euler_ancestral"]})
     workspace.set("studies.samplers_log_normal_kitchen.vary", {"sampler": ["ddim"]})
     for name in ("schedules_block_push", "noise_block_push", "samplers_log_normal_kitchen"):
-        workspace.python("-m", "stages.study", name)
+        workspace.stage("study", name)
     monkeypatch.chdir(workspace.folder)
     table = gather(params.load())["comparison"]
     assert table.loc[table["study"] == "schedules_block_push", "verdict"].eq("not run").all(), "it varies more"
@@ -120,9 +121,9 @@ def test_tables_put_ours_beside_the_papers(finished):
 
 def test_tables_have_every_methods_hyperparameters_beside_the_papers(finished):
     text = (finished.folder / "reports/tables.tex").read_text()
-    labels = profile.load("smoke").methods
+    labels = profile.load("smoke").labels
     for method in METHODS:
-        assert f"Hyper-parameters: {labels[method].label}, Block-Push." in text
+        assert f"Hyper-parameters: {labels[method]}, Block-Push." in text
     assert r"Counter examples & 8 & 64 * \\" in text
     assert r"Energy penalty & 0.005 & 0.005 \\" in text
     assert r"Sampling: steps & all & all \\" in text  # CX-Diff's whole chain
@@ -232,20 +233,20 @@ def test_the_page_has_every_number_of_the_paper(finished):
         assert shown.count('<span class="none">not run</span>') == (rows["verdict"] == "not run").sum()
 
 
-def nothing_of(environment, values):
-    """A profile's file that leaves an environment out: null for it and for each of its cells, films and studies."""
-    methods = {method: {use: {environment: None} for use in uses} for method, uses in values.pop("methods").items()}
-    return {"methods": methods} | {name: dict.fromkeys(entries) for name, entries in values.items()}
+def nothing_of(values):
+    """A profile's file that leaves an environment out: null for it and for each of its cells and studies."""
+    parts = ("environments", "images", "cells", "studies")
+    return {name: dict.fromkeys(entries) for name, entries in values.items() if name in parts}
 
 
 def test_a_profile_without_an_environment_leaves_no_broken_place(workspace):
-    left_out = nothing_of("calvin", YAML(typ="safe").load(workspace.folder / "profiles/paper/calvin.yaml"))
+    left_out = nothing_of(YAML(typ="safe").load(workspace.folder / "profiles/paper/calvin.yaml"))
     YAML().dump(left_out, workspace.folder / "profiles/smoke/calvin.yaml")
     workspace.beso("profile", "smoke")
     latency = pd.read_csv(workspace.folder / "timings/latency.csv").query("environment != 'calvin'")
     latency.to_csv(workspace.folder / "timings/latency.csv", index=False)  # as the stage would, but at once
     for stage in ("tables", "page"):
-        workspace.python("-m", f"stages.{stage}")
+        workspace.stage(stage)
     assert_each_figure_is_shown_once(workspace.folder)
     assert not any("calvin" in name for name in figures_of(workspace.folder))
     page = (workspace.folder / "reports/report.html").read_text()
@@ -312,8 +313,9 @@ def test_a_machine_that_cannot_draw_says_so_on_the_page(workspace, monkeypatch):
 
     monkeypatch.chdir(workspace.folder)
     monkeypatch.setattr(film, "film_episode", cannot_draw)
-    film.film_cell(params.load(), "kitchen", "c_beso")
-    workspace.python("-m", "stages.page")
+    cell = params.load().cell("kitchen", "c_beso")
+    film.film_cell(evaluation_jobs(cell.evaluate, Machine())[0], cell.film_folder)
+    workspace.stage("page")
     text = (workspace.folder / "reports/report.html").read_text()
     assert "C-BESO in Relay Kitchen: no film. there is no pencil" in text
 

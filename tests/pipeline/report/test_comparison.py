@@ -56,7 +56,7 @@ def test_scores_have_decimals_and_no_minus_before_a_zero():
 def test_the_main_table_has_the_papers_number_beside_a_cell_that_was_not_run():
     params = profile.load("smoke")
     kept = ("block_push-gcbc", "block_push-c_beso", "kitchen-lmp", "kitchen-c_beso")
-    params = replace(params, cells={name: params.cells[name] for name in kept}, studies={}, films={})
+    params = replace(params, cells={name: params.cells[name] for name in kept}, studies={})
     columns = ["environment", "metric", "method", "study", "goals", "ours", "ours_std", "paper", "paper_std"]
     comparison = pd.DataFrame(
         [

@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -56,8 +57,8 @@ def test_todays_code_knows_the_parameters_and_models_of_a_committed_archive(arch
     assert descriptions
     for description in descriptions:
         environment, method = description.parts[-3:-1]
-        job = params.job(environment, method, int(description.stem.removeprefix("seed")))
-        checkpoint.check(description.parent, job)
+        seed = int(description.stem.removeprefix("seed"))
+        checkpoint.check(description.parent, replace(params.cell(environment, method).train.first, seed=seed))
 
 
 def test_the_archive_of_a_whole_run_has_the_tables_of_the_run(archived):
@@ -119,7 +120,7 @@ def test_cells_of_other_parameters_or_data_do_not_stand_side_by_side(archived_sm
     record.write_text(json.dumps(made))
     workspace.set("environments.block_push.evaluation.seed", 7)
     assert refused(workspace, monkeypatch) == (
-        f"{ARCHIVE} has evaluate@block_push-gcbc of other parameters: environments.block_push.evaluation.seed is 1000"
+        f"{ARCHIVE} has evaluate@block_push-gcbc of other parameters: evaluate.evaluation.seed is 1000"
         " there and 7 here; archive it anew, or drop it:"
         " `beso publish --drop evaluate@block_push-gcbc`"
     )

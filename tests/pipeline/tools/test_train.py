@@ -9,15 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pipeline.cells.training import train_cell
 
 from beso import envs
 from beso.data import play
 from beso.errors import UserError
-from pipeline import cells, params, paths, profile
+from pipeline import params, paths, profile
+from pipeline.machine import Machine
 from pipeline.tools import bench_training, publish
 from pipeline.tools.import_cells import import_cells
 from pipeline.tools.train import train_cells
+from stages import train as stage
 
 ROOT = Path(__file__).parents[3]
 CELL = "block_push-c_beso"
@@ -50,6 +51,10 @@ def place(tmp_path, monkeypatch):
 
 def models(folder):
     return {path.name: path.read_bytes() for path in Path(folder).rglob("seed*") if path.is_file()}
+
+
+def train_stage():
+    stage.train_cell(params.load().cells[CELL].train, Machine.load())
 
 
 def run(*cells, seeds=(), hours=math.inf):
@@ -86,11 +91,11 @@ def test_what_time_cuts_off_continues_to_the_stages_bytes(place, capsys):
     assert (state.parent / "curve.csv").read_text().startswith("step,training_loss,")
     run()
     assert not list(Path("trained").rglob("state.safetensors"))
-    train_cell(params.load(), "block_push", "c_beso")
+    train_stage()
     assert models("trained") == models("models")
     (curve, *_) = Path("trained").rglob("curve.csv")
     last = curve.read_text().splitlines()[-1]
-    assert last.startswith(f"{params.load().job('block_push', 'c_beso', 1).config.optimization.steps},")
+    assert last.startswith(f"{params.load().cells[CELL].train.first.config.optimization.steps},")
 
 
 def test_unknown_cells_and_seeds_are_refused(place):
@@ -104,15 +109,15 @@ def test_the_stage_takes_what_was_brought_back(place, monkeypatch, capsys):
     run()
     import_cells(Path("trained"))
     assert capsys.readouterr().out.endswith(f"{CELL}: all seeds\n")
-    monkeypatch.setattr(cells.training, "Training", None)  # nothing is trained
-    train_cell(params.load(), "block_push", "c_beso")
+    monkeypatch.setattr(stage, "Training", None)  # nothing is trained
+    train_stage()
     assert models("models") == models("trained")
-    assert paths.curve("block_push", "c_beso").read_text().startswith("step,learning_rate,training_loss,")
+    assert params.load().cells[CELL].curve.read_text().startswith("step,learning_rate,training_loss,")
 
 
 def test_models_of_an_archive_are_taken_as_trained(place, monkeypatch, capsys):
-    train_cell(params.load(), "block_push", "c_beso")
-    for weights in paths.models("block_push", "c_beso").glob("*.safetensors"):
+    train_stage()
+    for weights in params.load().cells[CELL].models.glob("*.safetensors"):
         publish.halve(weights, weights)
     kept = models("models")
     shutil.move("models", "archive/models")
@@ -123,8 +128,8 @@ def test_models_of_an_archive_are_taken_as_trained(place, monkeypatch, capsys):
     assert "archive/models/block_push/c_beso: taken; it does not tell which state of beso/ trained it\n" in said
     assert f"{CELL}: all seeds\n" in said
     assert "gcbc" not in said
-    monkeypatch.setattr(cells.training, "Training", None)  # nothing is trained
-    train_cell(params.load(), "block_push", "c_beso")
+    monkeypatch.setattr(stage, "Training", None)  # nothing is trained
+    train_stage()
     assert models("models") == kept
     shutil.rmtree("data")
     import_cells(Path("archive"))
@@ -145,7 +150,7 @@ def test_students_learn_from_the_teacher_beside_them(place, capsys):
     shutil.rmtree("models")
     import_cells(Path("trained"))
     assert f"{student}: models/block_push/c_beso/seed1.json is missing: train" in capsys.readouterr().out
-    train_cell(params.load(), "block_push", "c_beso")
+    train_stage()
     import_cells(Path("trained"))
     assert f"{student}: all seeds" in capsys.readouterr().out
 
