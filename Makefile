@@ -1,5 +1,7 @@
-# `make reproduce` regenerates everything, `make test` runs the tests; both set up .venv first. PYTHON is 3.10 or 3.11.
-PYTHON ?= $(firstword $(foreach name,python3.11 python3.10 python3,$(if $(shell command -v $(name)),$(name))))
+# `make reproduce` regenerates everything, `make test` runs the tests; both set up .venv first. PYTHON is 3.11.
+# `beso lock` renews constraints/ from the environment that is installed.
+PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell command -v $(name)),$(name))))
+CONSTRAINTS := constraints/results.txt constraints/tools.txt
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
@@ -7,12 +9,12 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 
 setup: $(BIN)/.installed
 
-$(BIN)/.installed: pyproject.toml
-	$(if $(PYTHON),,$(error no Python found; Python 3.10 or 3.11 is needed, set PYTHON=))
-	$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 11) and "Python 3.10 or 3.11 is needed (pybullet); set PYTHON=")'
+$(BIN)/.installed: pyproject.toml $(CONSTRAINTS)
+	$(if $(PYTHON),,$(error no Python found; Python 3.11 is needed, set PYTHON=))
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11) and "Python 3.11 is needed; set PYTHON=")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet $(addprefix -c ,$(CONSTRAINTS)) --editable '.[dev]'
 	touch $@
 
 reproduce: setup
