@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from pipeline import cli
+from pipeline import cli, scratch
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("torch", "numpy", "pandas", "dvc", "ruamel", "tqdm")
@@ -73,6 +73,8 @@ def test_any_subfolder_and_the_home_will_do(tmp_path, monkeypatch):
     assert seen("film.webm") == Path("some/where/film.webm")
     assert seen("../../film.webm") == Path("film.webm")
     assert seen("~/film.webm") == Path("/at/home/film.webm")
+    monkeypatch.setenv("BESO_SCRATCH", "~/scratch")
+    assert scratch.folder("work").parent == Path("/at/home/scratch")
     assert seen(Path("models")) == Path("models"), "a default is the root's"
     assert seen("HEAD", maybe=True) == "HEAD"
     assert seen("../where", maybe=True) == "some/where"
