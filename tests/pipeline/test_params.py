@@ -355,3 +355,26 @@ def test_a_broken_profile_is_one_line(tmp_path, monkeypatch, file, text, message
 def test_unknown_profile_is_refused():
     with pytest.raises(UserError, match="profile 'tiny' is not one of cpu, gpu, paper, quick, smoke"):
         profile.render("tiny")
+
+
+def test_profiles_build_on_each_other(tmp_path, monkeypatch):
+    """What a profile says of all environments replaces what those before it said of each."""
+    shutil.copytree(profile.FOLDER, tmp_path / "profiles")
+    monkeypatch.setattr(profile, "FOLDER", tmp_path / "profiles")
+    (tmp_path / "profiles/mine").mkdir()
+    file = tmp_path / "profiles/mine/common.yaml"
+    file.write_text("profile: mine\nextends: quick\nall_environments: {evaluation: {chunk: 5}}\n")
+    mine, quick = (yaml.parse_yaml(profile.render(name), name) for name in ("mine", "quick"))
+    assert params.parse(mine, "mine").environments["block_push"].evaluation.chunk == 5
+    assert mine["environments"]["block_push"]["evaluation"] == {"rollouts": 20}
+    assert {**mine, "profile": "quick", "all_environments": 0, "environments": 0} == {
+        **quick,
+        "all_environments": 0,
+        "environments": 0,
+    }
+    file.write_text("profile: mine\nextends: mine\n")
+    with pytest.raises(UserError, match="profile mine extends itself: mine -> mine"):
+        profile.render("mine")
+    file.write_text("profile: mine\nextends: other\n")
+    with pytest.raises(UserError, match="profile 'other' is not one of cpu, gpu, mine, paper, quick, smoke"):
+        profile.render("mine")
