@@ -15,8 +15,10 @@ import gymnasium
 import numpy as np
 
 from beso import checkpoint, envs, trials
+from beso.data.play import read_digest
 from beso.device import pick_device
 from beso.envs.protocol import Outcome, Trial
+from beso.errors import UserError
 from beso.evaluation_config import Chunk, EvaluationConfig
 from beso.noise import EpisodeNoise
 from beso.policy import BatchPolicy
@@ -67,6 +69,10 @@ def evaluate(
     config, training = job.config, job.training
     all_trials = trials.load(job.trials)
     checkpoint.check(job.models, training)
+    if checkpoint.load_description(job.models, training.seed)["data"] != read_digest(job.data):
+        raise UserError(
+            f"{job.models}, seed {training.seed}, was trained on other play data than {job.data}; train again"
+        )
     policy = checkpoint.load(job.models, training.seed, job.sampling, device)
     frozen, own = protocol.encoder(job.data, device), policy.encode  # one of them, or both, leave observations alone
     policy = replace(policy, encode=lambda observations: own(frozen(observations)))

@@ -8,6 +8,7 @@ from beso import checkpoint, envs, methods, trials
 from beso.config import build
 from beso.data import play
 from beso.data.scaling import CLIP, Scaling
+from beso.diffusion.score_policy import ScorePolicy
 from beso.envs.protocol import TrialRequest
 from beso.errors import UserError
 from beso.evaluation_config import Chunk, EvaluationConfig, chunks
@@ -176,6 +177,60 @@ def test_a_researchers_policy_acts_like_the_evaluations(job, small_models):
         Policy.load(job.models, sampling={"nothing": 1})
     with pytest.raises(UserError, match="context_length = 9: must be at most the model's window, 3"):
         Policy.load(job.models, sampling={**small_models["c_beso"][1], "context_length": 9})
+
+
+NAN = np.where(np.arange(16) == 3, np.nan, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("observation", "message"),
+    [
+        (np.zeros(15), r"observation has shape \(15,\), expected \(16,\)"),
+        (np.zeros((1, 16)), r"observation has shape \(1, 16\), expected \(16,\)"),
+        (NAN, r"observation holds nan at \[3\]: every number must be finite"),
+        (np.full(16, 1e300), r"observations holds inf at \[0, 0\]"),
+        ({"observation": np.zeros(16)}, r"observation is a dict, expected an array of shape \(16,\)"),
+        (["x"] * 16, "observation holds <U1, expected real numbers"),
+    ],
+)
+def test_an_observation_that_is_no_state_is_refused(job, observation, message):
+    policy = Policy.load(job.models, seed=job.training.seed, device="cpu")
+    policy.reset(np.zeros(16))
+    with pytest.raises(UserError, match=message) as caught:
+        policy.act(observation)
+    assert "\n" not in str(caught.value)
+    assert policy.act(np.zeros(16)).shape == (2,)
+
+
+@pytest.mark.parametrize(
+    ("goal", "seed", "message"),
+    [
+        (np.zeros(17), 0, r"goal has shape \(17,\), expected \(1, 16\) or \(16,\)"),
+        (np.zeros((2, 16)), 0, r"goal has shape \(2, 16\), expected"),
+        (NAN, 0, r"goal holds nan at \[3\]"),
+        (np.zeros(16), -1, "seed = -1: must be a whole number of at least 0"),
+        (np.zeros(16), 0.5, "seed = 0.5: must be a whole number of at least 0"),
+    ],
+)
+def test_a_goal_or_seed_that_is_none_is_refused(job, goal, seed, message):
+    policy = Policy.load(job.models, seed=job.training.seed, device="cpu")
+    with pytest.raises(UserError, match=message):
+        policy.reset(goal, seed)
+
+
+def test_a_policy_that_computes_no_number_says_so(job, monkeypatch):
+    policy = Policy.load(job.models, seed=job.training.seed, device="cpu")
+    policy.reset(np.zeros(16))
+    monkeypatch.setattr(ScorePolicy, "act", lambda self, observations, *_: observations[:, -1, :2] * np.nan)
+    with pytest.raises(UserError, match=r"the policy's actions holds nan at \[0, 0\]"):
+        policy.act(np.zeros(16))
+
+
+def test_a_model_of_other_data_is_not_evaluated(job):
+    path = checkpoint.paths(job.models, job.training.seed)[1]
+    path.write_text(path.read_text().replace('"data": "', '"data": "0'))
+    with pytest.raises(UserError, match="was trained on other play data than"):
+        play_chunk(job, "training", 0, 1)
 
 
 @pytest.fixture

@@ -144,7 +144,7 @@ def test_a_policy_that_was_trained_with_its_encoder_sees_frames(name, make_datas
     assert action.shape == (7,)
     policy.reset(goal)
     assert np.array_equal(policy.act(frames[5]), action)
-    with pytest.raises(UserError, match=r"takes uint8 frames \(B, 32, 32, 3\)"):
+    with pytest.raises(UserError, match=r"observation has shape \(31, 32, 3\), expected \(32, 32, 3\)"):
         policy.act(frames[5][:31])
 
 
