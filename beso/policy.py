@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from beso import methods
+from beso.checks import finite, numbers
 from beso.config import build
 from beso.core import checkpoint
 from beso.core.device import pick_device
@@ -32,31 +33,48 @@ class BatchPolicy:
         policy: a trained policy.
         goals: (B, G, observation_size) raw goal states, constant through the episodes; or frames (B, G, H, W, 3), as
             all observations then, if the policy has an encoder of its own.
+
+    Raises:
+        UserError: goals have another shape or hold numbers that are not finite.
     """
 
     def __init__(self, policy: checkpoint.LoadedModel, goals: np.ndarray, device: torch.device) -> None:
         self.method, self.scaling, self.window, self.device = policy.method, policy.scaling, policy.context, device
         self.encode = policy.encode
         encoded = self.encode(goals.reshape(-1, *goals.shape[2:]))
-        self.goal = self.scaling.scale_goals(self._tensor(encoded.reshape(*goals.shape[:2], -1)))
+        states = self._tensor("goals", encoded, len(encoded))
+        self.goal = self.scaling.scale_goals(states.unflatten(0, goals.shape[:2]))
         self.observations = self.goal[:, :0]  # (B, up to window, O)
         self.actions: torch.Tensor | None = None  # (B, up to window - 1, A)
         self.memory: Memory = {}
 
-    def _tensor(self, array: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.asarray(array, dtype=np.float32)).to(self.device)
+    def _tensor(self, what: str, array: Any, count: int) -> torch.Tensor:
+        """Raw states (count, observation_size), whole and finite, also as float32."""
+        with np.errstate(over="ignore"):
+            single = np.asarray(numbers(what, array, (count, self.scaling.observation_size)), dtype=np.float32)
+        finite(what, single)
+        if single.shape[1] <= max(self.scaling.visible):
+            raise UserError(f"{what} has {single.shape[1]} columns, expected at least {max(self.scaling.visible) + 1}")
+        return torch.from_numpy(single).to(self.device)
 
     @torch.inference_mode()
     def act(self, observations: np.ndarray, noise: Noise) -> np.ndarray:
-        """(B, observation_size) raw observations -> (B, action_size) raw actions."""
-        current = self.scaling.scale_observations(self._tensor(self.encode(observations)))
+        """(B, observation_size) raw observations -> (B, action_size) raw actions.
+
+        Raises:
+            UserError: observations have another shape, or they or the actions hold numbers that are not finite.
+        """
+        raw = self._tensor("observations", self.encode(observations), len(self.goal))
+        current = self.scaling.scale_observations(raw)
         self.observations = torch.cat([self.observations, current[:, None]], dim=1)[:, -self.window :]
         if self.actions is None:
             self.actions = current.new_empty(len(current), 0, len(self.scaling.action_low))
         action = self.method.act(self.observations, self.actions, self.goal, noise, self.memory).clamp(-CLIP, CLIP)
         history = torch.cat([self.actions, action[:, None]], dim=1)
         self.actions = history[:, max(0, history.shape[1] - (self.window - 1)) :]
-        return self.scaling.raw_actions(action).cpu().numpy()
+        raw_actions = self.scaling.raw_actions(action).cpu().numpy()
+        finite("the policy's actions", raw_actions)
+        return raw_actions
 
     def keep(self, running: np.ndarray) -> None:
         """Go on with a part of the batch, (B,) booleans."""
@@ -72,7 +90,7 @@ class Policy:
 
     def __init__(self, loaded: checkpoint.LoadedModel, device: torch.device) -> None:
         self._loaded, self._device = loaded, device
-        self._agent: BatchPolicy | None = None
+        self._batch: BatchPolicy | None = None
 
     @classmethod
     def load(
@@ -85,7 +103,7 @@ class Policy:
             seed: the model's number.
             sampling: how to generate actions, as in params.yaml under `methods.<name>.sample`; None is the method's
                 default.
-            device: "auto", "cpu" or "cuda".
+            device: "auto", "cpu", "cuda" or one GPU, "cuda:1".
 
         Raises:
             UserError: files are missing or damaged, or `sampling` is not one for this method.
@@ -105,17 +123,27 @@ class Policy:
         Args:
             goal: (G, observation_size) raw goal states, or one state; frames (G, H, W, 3) for a policy that has its own
                 encoder.
-            seed: of the policy's random numbers in this episode.
+            seed: of the policy's random numbers in this episode, at least 0.
+
+        Raises:
+            UserError: the goal has another shape or holds a number that is not finite, or the seed is negative.
         """
-        self._agent = BatchPolicy(self._loaded, np.atleast_2d(goal)[None], self._device)
+        if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+            raise UserError(f"seed = {seed!r}: must be a whole number of at least 0")
+        state, window = self._loaded.observation_shape, self._loaded.goal_window
+        shapes = [(window, *state)] if window != 1 else [(1, *state), state]
+        states = numbers("goal", goal, *shapes)
+        self._batch = BatchPolicy(self._loaded, states.reshape(1, -1, *states.shape[-len(state) :]), self._device)
         self._noise = EpisodeNoise([generator(seed, "policy noise")], self._device)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """(observation_size,) raw observation -> (action_size,) raw action.
 
         Raises:
-            UserError: no episode was started.
+            UserError: no episode was started; the observation has another shape or holds a number that is not finite.
         """
-        if self._agent is None:
+        if self._batch is None:
             raise UserError("no goal: call reset(goal) before act")
-        return self._agent.act(np.asarray(observation)[None], self._noise)[0]
+        return self._batch.act(numbers("observation", observation, self._loaded.observation_shape)[None], self._noise)[
+            0
+        ]

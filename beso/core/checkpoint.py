@@ -12,6 +12,7 @@ import safetensors.torch
 import torch
 from safetensors import SafetensorError
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from beso import methods
 from beso.config import build
@@ -22,6 +23,9 @@ from beso.encoders import finetuned
 from beso.encoders.encoder import Encoding, FrameEncoder
 from beso.errors import UserError
 from beso.files import read_json, replacing, write_json
+
+LEAST = 1 << 26  # bytes that any network may have before its weights are compared
+SMALLEST = 1 << 12  # bytes that each tensor counts for at least
 
 
 @dataclass(frozen=True)
@@ -54,13 +58,23 @@ class LoadedModel:
         method: network and acting, see beso.core.method.BaseMethod.
         scaling: between raw and its own units.
         context: time steps that it sees in rollouts.
+        goal_window: states in a goal.
         encode: its own encoder, where it was trained with one: frames (B, H, W, 3) -> raw observations (B, O).
+        frame_size: height and width of the frames that its own encoder takes.
     """
 
     method: Any
     scaling: Scaling
     context: int
+    goal_window: int = 1
     encode: Callable[[np.ndarray], np.ndarray] = as_they_are
+    frame_size: int | None = None
+
+    @property
+    def observation_shape(self) -> tuple[int | None, ...]:
+        """Shape of a raw observation: numbers, or a frame; None for a size that the model does not tell."""
+        size = self.frame_size
+        return (size, size, 3) if size else (self.scaling.observation_size,)
 
 
 def paths(folder: Path, seed: int) -> tuple[Path, Path]:
@@ -118,9 +132,16 @@ def check(folder: Path, job: TrainingJob) -> None:
 
 def config(folder: Path, seed: int) -> Any:
     """The Config of a trained model. Raises UserError if its description is missing or damaged."""
-    job = load_description(folder, seed)["job"]
-    where = f"{paths(folder, seed)[1]}: model"
-    return build(methods.load(job["method"]).Config, job["config"]["model"], where)
+    return _config(load_description(folder, seed), paths(folder, seed)[1])
+
+
+def _config(description: dict[str, Any], path: Path) -> Any:
+    job = description["job"]
+    try:
+        name, model = job["method"], job["config"]["model"]
+    except (TypeError, KeyError):
+        raise UserError(f"{path} is damaged: its job has no method and model") from None
+    return build(methods.load(str(name)).Config, model, f"{path}: model")
 
 
 def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> LoadedModel:
@@ -134,24 +155,35 @@ def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded
     """
     weights_path, description_path = paths(folder, seed)
     description = load_description(folder, seed)
-    name, sizes = description["job"]["method"], Sizes(**description["sizes"])
-    module = methods.load(name)
-    config = build(module.Config, description["job"]["config"]["model"], f"{description_path}: model")
+    config = _config(description, description_path)
+    name, scaling = description["job"]["method"], build(Scaling, description["scaling"], f"{description_path}: scaling")
+    sizes = _sizes(description["sizes"], scaling, description_path)
     try:
         weights = safetensors.torch.load(weights_path.read_bytes())
     except (OSError, SafetensorError) as error:
         raise UserError(f"{weights_path} is missing or damaged ({error})") from None
+    for key, value in weights.items():
+        if not value.isfinite().all():
+            raise UserError(f"{weights_path} is damaged: {key} holds numbers that are not finite")
     unused = torch.Generator()  # initial weights, overwritten below
-    method = module.Method(config, sampling, sizes, unused)
+    wrong = UserError(f"{weights_path} is damaged: its weights are not those of a {name} of this configuration")
+    try:
+        with _AtMost(4 * sum(value.nbytes for value in weights.values()) + LEAST):
+            method = methods.load(name).Method(config, sampling, sizes, unused)
+    except (RuntimeError, MemoryError, OverflowError):
+        raise wrong from None
     whole: torch.nn.Module = method
     encode: Callable[[np.ndarray], np.ndarray] = as_they_are
+    frame_size = None
     if "encoder" in description:
         encoding = build(Encoding, description["encoder"], f"{description_path}: encoder")
         whole = finetuned.modules(method, encoding)
-        encode = FrameEncoder(whole["encoder"], encoding, device)
-    shapes = {key: tuple(value.shape) for key, value in weights.items()}
-    if shapes != {key: tuple(value.shape) for key, value in whole.state_dict().items()}:
-        raise UserError(f"{weights_path} is damaged: its weights are not those of a {name} of this configuration")
+        encode, frame_size = FrameEncoder(whole["encoder"], encoding, device), encoding.size
+    found, expected = (
+        {key: (value.shape, value.dtype) for key, value in state.items()} for state in (weights, whole.state_dict())
+    )
+    if found != expected:
+        raise wrong
     whole.load_state_dict(weights)
     context = config.context
     if sampling is not None:
@@ -160,7 +192,31 @@ def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded
         except ValueError as error:
             raise UserError(f"{description_path}: sampling: {error}") from None
         context = sampling.context_steps(config.context)
-    return LoadedModel(method.to(device).eval(), Scaling.from_dict(description["scaling"]), context, encode)
+    return LoadedModel(method.to(device).eval(), scaling, context, sizes.goal_window, encode, frame_size)
+
+
+def _sizes(values: Any, scaling: Scaling, path: Path) -> Sizes:
+    expected = {"observation": len(scaling.visible), "action": len(scaling.action_low)}
+    goal_window = values.get("goal_window") if isinstance(values, dict) else None
+    if type(goal_window) is not int or goal_window < 1 or values != {**expected, "goal_window": goal_window}:
+        raise UserError(f"{path} is damaged: its sizes are not those of its scaling")
+    return Sizes(**values)
+
+
+class _AtMost(TorchDispatchMode):
+    """No more than so many bytes of new tensors: a damaged description may ask for a network of any size."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self._left = size
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        made = func(*args, **(kwargs or {}))
+        if isinstance(made, Tensor) and not any(isinstance(argument, Tensor) for argument in args):
+            self._left -= made.nbytes + SMALLEST  # many small ones take long
+            if self._left < 0:
+                raise MemoryError
+        return made
 
 
 def _first_difference(found: Any, expected: Any, key: str) -> str | None:

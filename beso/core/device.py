@@ -1,5 +1,6 @@
 """Where tensors live, and how they are multiplied there."""
 
+import re
 from typing import Literal
 
 import torch
@@ -10,14 +11,22 @@ from beso.errors import UserError
 def pick_device(name: str) -> torch.device:
     """The device of that name; "auto" means the first GPU if there is one.
 
+    Args:
+        name: "auto", "cpu", "cuda", or one of several GPUs, counted from 0: "cuda:1".
+
     Raises:
-        UserError: "cuda" where there is none.
+        UserError: another name, or a GPU where there is none of that number.
     """
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
-    if name == "cuda" and not torch.cuda.is_available():
-        raise UserError("device = cuda: this PyTorch finds no GPU; auto or cpu are possible")
-    return torch.device(name)
+    if not re.fullmatch(r"cpu|cuda(:\d{1,3})?", str(name)):
+        raise UserError(f"device = {name!r}: must be auto, cpu, cuda, or one GPU as cuda:0, cuda:1")
+    device = torch.device(name)
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise UserError(f"device = {name}: this PyTorch finds no GPU; auto or cpu are possible")
+    if device.index is not None and device.index >= torch.cuda.device_count():
+        raise UserError(f"device = {name}: the last GPU here is cuda:{torch.cuda.device_count() - 1}")
+    return device
 
 
 def pick_precision(name: Literal["auto", "fp32", "bf16"], device: torch.device) -> Literal["fp32", "bf16"]:

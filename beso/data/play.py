@@ -25,6 +25,7 @@ from beso.data.spec import PlaySpec
 from beso.data.store import Column
 from beso.errors import UserError
 
+MISSING = "is not a play dataset: it has no meta.json; run `dvc repro collect` first"
 ARRAYS = ("observations", "actions", "tasks", "episode_ends")
 
 
@@ -133,11 +134,25 @@ def load(folder: Path, spec: PlaySpec, verify: bool = True) -> PlayDataset:
     Raises:
         UserError: the folder is missing, a file is missing, truncated or altered, or a check fails.
     """
-    missing = "is not a play dataset: it has no meta.json; run `dvc repro collect` first"
-    arrays, meta = store.read(folder, ARRAYS, missing, verify)
-    dataset = PlayDataset(**arrays, meta=meta)
+    arrays, meta = store.read(folder, ARRAYS, MISSING, verify)
+    dataset = PlayDataset(**arrays, meta=_checked(meta, folder))
     check(dataset, spec, str(folder))
     return dataset
+
+
+def read_digest(folder: Path) -> str:
+    """The `data_digest` of a dataset, from its description alone. Raises UserError as `load` does."""
+    _, meta = store.read(folder, ARRAYS, MISSING, verify=False)
+    nothing = np.empty(0)
+    return data_digest(PlayDataset(nothing, nothing, nothing, nothing, _checked(meta, folder)))
+
+
+def _checked(meta: dict[str, Any], folder: Path) -> dict[str, Any]:
+    finetune = meta.get("finetune", {"frame_size": 1, "encoder": ""})
+    size, encoder = (finetune.get(key) if isinstance(finetune, dict) else None for key in ("frame_size", "encoder"))
+    if type(size) is not int or size < 1 or not isinstance(encoder, str):
+        raise UserError(f"{folder / store.META} is damaged: finetune must have frame_size and encoder")
+    return meta
 
 
 def data_digest(dataset: PlayDataset) -> str:

@@ -5,12 +5,15 @@ Observations and goals are z-scored per dimension; actions are mapped to [-1, 1]
 policy have none; they come scaled (beso.encoders.finetuned).
 """
 
+import math
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from beso.config import require
 from beso.data.play import PlayDataset
 from beso.data.spec import PlaySpec
 
@@ -27,6 +30,17 @@ class Scaling:
     std: tuple[float, ...]
     action_low: tuple[float, ...]
     action_high: tuple[float, ...]
+    observation_size: int | None = None  # of raw observations; models of earlier versions do not tell
+
+    def __post_init__(self) -> None:
+        visible, width = self.visible, self.observation_size
+        require(len(self.mean) == len(self.std) == len(visible) > 0, "visible, mean and std must have equal lengths")
+        require(len(self.action_low) == len(self.action_high) > 0, "action_low and action_high must have equal lengths")
+        require(min(visible) >= 0 and max(visible) < (width or math.inf), "visible must be columns of observations")
+        require(all(0 <= i < len(visible) for i in self.goal_masked), "goal_masked must be positions within visible")
+        require(all(value > 0 for value in self.std), "std must be above 0")
+        bounds = zip(self.action_low, self.action_high, strict=True)
+        require(all(low < high for low, high in bounds), "action_low must be below action_high")
 
     @classmethod
     def fit(cls, dataset: PlayDataset, episodes: np.ndarray, spec: PlaySpec) -> "Scaling":
@@ -47,16 +61,12 @@ class Scaling:
             std=tuple(np.where(std > 0, std, 1.0).tolist()),
             action_low=tuple(actions.min(axis=0).tolist()),
             action_high=tuple((actions.min(axis=0) + np.where(span > 0, span, 1.0)).tolist()),
+            observation_size=spec.observation_size,
         )
 
-    def as_dict(self) -> dict[str, list]:
+    def as_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {key: list(value) for key, value in asdict(self).items()}
-
-    @classmethod
-    def from_dict(cls, values: dict[str, list]) -> "Scaling":
-        """From JSON."""
-        return cls(**{key: tuple(value) for key, value in values.items()})
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
 
     def scale_observations(self, raw: Tensor) -> Tensor:
         """(..., observation_size) raw -> (..., visible) z-scored."""

@@ -19,7 +19,10 @@ from beso.core import checkpoint
 from beso.core.device import pick_device
 from beso.core.noise import EpisodeNoise
 from beso.core.seeding import generator
+from beso.data import store
+from beso.data.play import read_digest
 from beso.envs.protocol import Outcome, Trial
+from beso.errors import UserError
 from beso.evaluation import trials
 from beso.evaluation.config import Chunk, EvaluationConfig
 from beso.policy import BatchPolicy
@@ -67,6 +70,9 @@ def evaluate(
     device, protocol = pick_device(job.device), envs.evaluation(job.environment)
     config = job.config
     all_trials = trials.load(job.trials)
+    data = checkpoint.load_description(job.models, job.seed)["data"]
+    if (job.data / store.META).is_file() and data != read_digest(job.data):  # an archive has no play data
+        raise UserError(f"{job.models}, seed {job.seed}, was trained on other play data than {job.data}; train again")
     policy = checkpoint.load(job.models, job.seed, job.sampling, device)
     frozen, own = protocol.encoder(job.data, device), policy.encode  # one of them, or both, leave observations alone
     policy = replace(policy, encode=lambda observations: own(frozen(observations)))

@@ -154,7 +154,7 @@ class Training:
         """Add a row to the curve.
 
         Raises:
-            UserError: the training loss is not finite.
+            UserError: a loss is not finite.
         """
         since = self.done - (self.curve[-1]["step"] if self.curve else 0)
         self.averaged.settle()
@@ -170,10 +170,9 @@ class Training:
             }
         )
         self._loss_sum.zero_()
-        if not math.isfinite(training_loss):
-            raise UserError(
-                f"{self.name}: the training loss is not finite after {self.done} steps; lower learning_rate"
-            )
+        for kind, loss in (("training", training_loss), ("validation", held_out_loss)):
+            if not math.isfinite(loss):
+                raise UserError(f"{self.name}: the {kind} loss is {loss} after {self.done} steps; lower learning_rate")
         now = time.monotonic()
         speed = (self.done - self._logged_step) / (now - self._logged_at)
         self._logged_at, self._logged_step = now, self.done
@@ -189,9 +188,16 @@ class Training:
             self._loop.save(self._state_path, self.done, self.curve)
 
     def result(self) -> TrainedModel:
-        """The model as it is now."""
+        """The model as it is now.
+
+        Raises:
+            UserError: a weight is not finite.
+        """
         with torch.cuda.stream(self._stream):
             weights = {key: value.detach().cpu().contiguous() for key, value in self.averaged.state_dict().items()}
+        for key, value in weights.items():
+            if not value.isfinite().all():
+                raise UserError(f"{self.name}: {key} has weights that are not finite; lower learning_rate")
         return TrainedModel(weights, self.scaling, self.curve, self.encoding)
 
 

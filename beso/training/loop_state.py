@@ -1,5 +1,6 @@
 """The whole state of a training loop in one file, so that a killed run continues and ends with the same bytes."""
 
+import hashlib
 import json
 import logging
 from collections.abc import Mapping
@@ -54,6 +55,7 @@ class LoopState:
         tensors["draws"] = self.draws.get_state()
         with replacing(path) as temporary:
             metadata = {"step": str(step), "curve": json.dumps(curve)}
+            metadata["sha256"] = _digest(tensors, metadata)
             temporary.write_bytes(safetensors.torch.save(tensors, metadata))
 
     def load(self, path: Path) -> tuple[int, Curve]:
@@ -61,20 +63,33 @@ class LoopState:
         if not path.exists():
             return 0, []
         try:
-            opened = safe_open(path, "pt")
+            with safe_open(path, "pt") as file:
+                tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dictionary)
+                metadata = file.metadata() or {}
         except SafetensorError:
+            tensors, metadata = {}, {}
+        if metadata.pop("sha256", None) != _digest(tensors, metadata):
             log.warning("%s is damaged; starting again", path)
             return 0, []
-        with opened as file, torch.no_grad():
+        with torch.no_grad():
             for key, value in self.tensors.items():
-                value.copy_(file.get_tensor(key))
+                value.copy_(tensors[key])
             for name, (parameter, state) in self.parameters.items():
                 prefix = f"optimizer.{name}."
-                keys = [key for key in file.keys() if key.startswith(prefix)]  # noqa: SIM118 (not a dictionary)
-                state[parameter] = {k.removeprefix(prefix): _like(parameter, file.get_tensor(k)) for k in keys}
-            self.draws.set_state(file.get_tensor("draws"))
-            metadata = file.metadata()
+                keys = [key for key in tensors if key.startswith(prefix)]
+                state[parameter] = {k.removeprefix(prefix): _like(parameter, tensors[k]) for k in keys}
+            self.draws.set_state(tensors["draws"])
         return int(metadata["step"]), json.loads(metadata["curve"])
+
+
+def _digest(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> str:
+    """The SHA-256 of a state: a flipped bit would train on unnoticed."""
+    digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
+    for name in sorted(tensors):
+        value = tensors[name].detach().cpu().contiguous()
+        digest.update(f"{name} {value.dtype} {tuple(value.shape)}".encode())
+        digest.update(value.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
 
 
 def _like(parameter: Tensor, value: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ from beso.core import checkpoint
 from beso.core.noise import EpisodeNoise
 from beso.data.scaling import Scaling
 from beso.errors import UserError
+from beso.policy import Policy
 
 CPU = torch.device("cpu")
 
@@ -94,7 +95,7 @@ def test_the_description_holds_job_data_scaling_and_curve(save, make_job, tmp_pa
     description = checkpoint.load_description(tmp_path, job.seed)
     assert description["job"] == json.loads(json.dumps(dataclasses.asdict(job)))
     assert description["data"] == "digest"
-    assert Scaling.from_dict(description["scaling"]) == scaling
+    assert build(Scaling, description["scaling"], "scaling") == scaling
     assert description["curve"] == [{"step": 8, "training_loss": 0.5}]
 
 
@@ -163,3 +164,70 @@ def test_weights_of_another_network_are_refused(save, load, make_job, tmp_path):
     weights = checkpoint.paths(tmp_path, 1)[0]
     weights.write_bytes(safetensors.torch.save({"other": torch.zeros(3)}))
     refused(r"seed1\.safetensors", load, make_job())
+
+
+def described(folder, job, change):
+    path = checkpoint.paths(folder, job.seed)[1]
+    description = json.loads(path.read_text())
+    change(description)
+    path.write_text(json.dumps(description))
+
+
+def grown(description, key, value):
+    description["job"]["config"]["model"]["transformer"][key] = value
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d["sizes"].update(observation=10**9), "its sizes are not those of its scaling"),
+        (lambda d: d["sizes"].update(goal_window=10**12), "its weights are not those of a c_beso"),
+        (lambda d: d["sizes"].update(goal_window="1"), "its sizes are not those of its scaling"),
+        (lambda d: d.update(sizes=[10, 2, 1]), "its sizes are not those of its scaling"),
+        (lambda d: grown(d, "width", 2**20), "its weights are not those of a c_beso"),
+        (lambda d: grown(d, "width", 2**40), "its weights are not those of a c_beso"),
+        (lambda d: grown(d, "layers", 10**9), "its weights are not those of a c_beso"),
+        (lambda d: d.update(job=5), "its job has no method and model"),
+        (lambda d: d["job"].update(method=["c_beso"]), "method .* is not one of"),
+        (lambda d: d["scaling"]["mean"].__setitem__(0, float("nan")), r"scaling.mean\[0\] = nan: expected a finite"),
+        (lambda d: d["scaling"]["std"].__setitem__(0, 0.0), "std must be above 0"),
+        (lambda d: d["scaling"]["mean"].pop(), "visible, mean and std must have equal lengths"),
+        (lambda d: d["scaling"].update(observation_size=4), "visible must be columns of observations"),
+    ],
+)
+def test_a_description_with_wrong_sizes_is_refused_without_building_it(save, make_job, tmp_path, change, message):
+    job = make_job()
+    save(job)
+    described(tmp_path, job, change)
+    refused(message, checkpoint.load, tmp_path, job.seed, None, CPU)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_weights_that_are_not_finite_are_refused(save, make_job, tmp_path, value):
+    job = make_job("gcbc")
+    save(job)
+    path = checkpoint.paths(tmp_path, job.seed)[0]
+    weights = safetensors.torch.load_file(path)
+    name = min(weights)
+    weights[name].view(-1)[0] = value
+    safetensors.torch.save_file(weights, path)
+    refused(f"{name} holds numbers that are not finite", checkpoint.load, tmp_path, job.seed, None, CPU)
+
+
+def test_weights_of_another_precision_are_refused(save, make_job, tmp_path):
+    job = make_job("gcbc")
+    save(job)
+    path = checkpoint.paths(tmp_path, job.seed)[0]
+    weights = {name: value.bfloat16() for name, value in safetensors.torch.load_file(path).items()}
+    safetensors.torch.save_file(weights, path)
+    refused("its weights are not those of a gcbc", checkpoint.load, tmp_path, job.seed, None, CPU)
+
+
+def test_a_model_of_an_earlier_version_does_not_tell_its_observations_width(save, make_job, tmp_path):
+    job = make_job("gcbc")
+    save(job)
+    described(tmp_path, job, lambda d: d["scaling"].pop("observation_size"))
+    policy = Policy.load(tmp_path, job.seed, device="cpu")
+    policy.reset(np.zeros(16))
+    policy.act(np.zeros(16))
+    refused("observations has 9 columns, expected at least 10", policy.act, np.zeros(9))

@@ -20,3 +20,20 @@ def test_without_a_gpu():
     assert pick_device("auto") == CPU
     with pytest.raises(UserError, match="finds no GPU"):
         pick_device("cuda")
+    with pytest.raises(UserError, match="device = cuda:1: this PyTorch finds no GPU"):
+        pick_device("cuda:1")
+
+
+@pytest.mark.parametrize("name", ["gpu", "cuda:", "cuda:-1", "cuda:x", "cuda:1:2", "meta", "CPU", "cpu:0", "", 3])
+def test_other_names_are_refused_in_one_line(name):
+    with pytest.raises(UserError, match="must be auto, cpu, cuda, or one GPU as cuda:0, cuda:1") as caught:
+        pick_device(name)
+    assert "\n" not in str(caught.value)
+
+
+def test_one_of_several_gpus(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    assert pick_device("cuda:1") == torch.device("cuda", 1)
+    with pytest.raises(UserError, match="device = cuda:2: the last GPU here is cuda:1"):
+        pick_device("cuda:2")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from beso.config import build
 from beso.data.play import Episode, assemble
 from beso.data.scaling import Scaling
 
@@ -75,4 +76,4 @@ def test_dimensions_that_never_change_stay_finite(spec):
 
 
 def test_survives_json_exactly(scaling):
-    assert Scaling.from_dict(json.loads(json.dumps(scaling.as_dict()))) == scaling
+    assert build(Scaling, json.loads(json.dumps(scaling.as_dict())), "scaling") == scaling

@@ -11,6 +11,8 @@ from beso.core.noise import EpisodeNoise
 from beso.core.seeding import generator
 from beso.data import play
 from beso.data.scaling import CLIP, Scaling
+from beso.data.split import model_split
+from beso.diffusion.score_policy import ScorePolicy
 from beso.envs.protocol import TrialRequest
 from beso.errors import UserError
 from beso.evaluation import trials
@@ -121,7 +123,13 @@ def job(make_dataset, make_job, small_models, spec, tmp_path):
     }
     trials.save(made, tmp_path / "trials")
     folders = (tmp_path / "data", tmp_path / "trials", tmp_path / "models")
-    return EvaluationJob("block_push", *folders, training, sampling, CONFIG, "cpu")
+    return EvaluationJob("block_push", *folders, training.seed, sampling, CONFIG, "cpu")
+
+
+def split(job, episodes):
+    """Training and held-out episodes of a job's model."""
+    trained = checkpoint.load_description(job.models, job.seed)["job"]
+    return model_split(episodes, trained["train_fraction"], trained["root_seed"], job.seed)
 
 
 def play_chunk(job, *chunk, film=None):
@@ -132,11 +140,11 @@ def play_chunk(job, *chunk, film=None):
 def test_rows_say_what_was_played(job, spec):
     rows = play_chunk(job, "held_out", 0, 2)
     assert [(row["seed"], row["goals"], row["episode"], row["length"]) for row in rows] == [
-        (job.training.seed, "held_out", 0, 4),
-        (job.training.seed, "held_out", 1, 4),
+        (job.seed, "held_out", 0, 4),
+        (job.seed, "held_out", 1, 4),
     ]
     dataset = play.load(job.data, spec)
-    _, held_out = job.training.split(len(dataset))
+    _, held_out = split(job, len(dataset))
     for row in rows:
         assert row["goal_demonstration"] in held_out
         assert row["goal_tasks"] == " ".join(map(str, dataset.completed(row["goal_demonstration"])))
@@ -149,12 +157,6 @@ def test_chunks_of_one_call_are_those_of_several(job):
     assert together == [play_chunk(job, "training", 0, 2), play_chunk(job, "held_out", 2, 3)]
 
 
-def test_a_policy_of_another_configuration_is_refused(job):
-    other = dataclasses.replace(job, training=dataclasses.replace(job.training, train_fraction=0.5))
-    with pytest.raises(UserError, match=r"train_fraction is 0\.7 there and 0\.5 here"):
-        play_chunk(other, "training", 0, 1)
-
-
 def test_episodes_that_were_not_made_are_refused(job, tmp_path):
     with pytest.raises(UserError, match="episode 8 with goal set training and seed 1 was not made: there are 8"):
         play_chunk(job, "training", 7, 9)
@@ -164,20 +166,74 @@ def test_episodes_that_were_not_made_are_refused(job, tmp_path):
 
 def test_a_researchers_policy_acts_like_the_evaluations(job, small_models):
     """Policy.load and a loop on raw observations need the trained folder alone."""
-    policy = Policy.load(job.models, seed=job.training.seed, sampling=small_models["c_beso"][1], device="cpu")
+    policy = Policy.load(job.models, seed=job.seed, sampling=small_models["c_beso"][1], device="cpu")
     with pytest.raises(UserError, match="no goal"):
         policy.act(np.zeros(16))
     policy.reset(np.zeros((1, 16)), seed=3)
     first = [policy.act(np.full(16, 0.1 * i)) for i in range(4)]
     policy.reset(np.zeros(16), seed=3)
     assert np.array_equal(first, [policy.act(np.full(16, 0.1 * i)) for i in range(4)])
-    agent = BatchPolicy(checkpoint.load(job.models, job.training.seed, job.sampling, CPU), np.zeros((1, 1, 16)), CPU)
+    agent = BatchPolicy(checkpoint.load(job.models, job.seed, job.sampling, CPU), np.zeros((1, 1, 16)), CPU)
     noise = EpisodeNoise([generator(3, "policy noise")])
     assert np.array_equal(first, [agent.act(np.full((1, 16), 0.1 * i), noise)[0] for i in range(4)])
     with pytest.raises(UserError, match=r"sampling.nothing = 1: unknown key"):
         Policy.load(job.models, sampling={"nothing": 1})
     with pytest.raises(UserError, match="context_length = 9: must be at most the model's window, 3"):
         Policy.load(job.models, sampling={**small_models["c_beso"][1], "context_length": 9})
+
+
+NAN = np.where(np.arange(16) == 3, np.nan, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("observation", "message"),
+    [
+        (np.zeros(15), r"observation has shape \(15,\), expected \(16,\)"),
+        (np.zeros((1, 16)), r"observation has shape \(1, 16\), expected \(16,\)"),
+        (NAN, r"observation holds nan at \[3\]: every number must be finite"),
+        (np.full(16, 1e300), r"observations holds inf at \[0, 0\]"),
+        ({"observation": np.zeros(16)}, r"observation is a dict, expected an array of shape \(16,\)"),
+        (["x"] * 16, "observation holds <U1, expected real numbers"),
+    ],
+)
+def test_an_observation_that_is_no_state_is_refused(job, observation, message):
+    policy = Policy.load(job.models, seed=job.seed, device="cpu")
+    policy.reset(np.zeros(16))
+    with pytest.raises(UserError, match=message) as caught:
+        policy.act(observation)
+    assert "\n" not in str(caught.value)
+    assert policy.act(np.zeros(16)).shape == (2,)
+
+
+@pytest.mark.parametrize(
+    ("goal", "seed", "message"),
+    [
+        (np.zeros(17), 0, r"goal has shape \(17,\), expected \(1, 16\) or \(16,\)"),
+        (np.zeros((2, 16)), 0, r"goal has shape \(2, 16\), expected"),
+        (NAN, 0, r"goal holds nan at \[3\]"),
+        (np.zeros(16), -1, "seed = -1: must be a whole number of at least 0"),
+        (np.zeros(16), 0.5, "seed = 0.5: must be a whole number of at least 0"),
+    ],
+)
+def test_a_goal_or_seed_that_is_none_is_refused(job, goal, seed, message):
+    policy = Policy.load(job.models, seed=job.seed, device="cpu")
+    with pytest.raises(UserError, match=message):
+        policy.reset(goal, seed)
+
+
+def test_a_policy_that_computes_no_number_says_so(job, monkeypatch):
+    policy = Policy.load(job.models, seed=job.seed, device="cpu")
+    policy.reset(np.zeros(16))
+    monkeypatch.setattr(ScorePolicy, "act", lambda self, observations, *_: observations[:, -1, :2] * np.nan)
+    with pytest.raises(UserError, match=r"the policy's actions holds nan at \[0, 0\]"):
+        policy.act(np.zeros(16))
+
+
+def test_a_model_of_other_data_is_not_evaluated(job):
+    path = checkpoint.paths(job.models, job.seed)[1]
+    path.write_text(path.read_text().replace('"data": "', '"data": "0'))
+    with pytest.raises(UserError, match="was trained on other play data than"):
+        play_chunk(job, "training", 0, 1)
 
 
 @pytest.fixture
@@ -209,7 +265,7 @@ def test_a_policy_gets_the_goals_of_its_episodes(job, spec, starts, monkeypatch)
     monkeypatch.setattr(BatchPolicy, "act", noted_act)
     rows = play_chunk(job, "training", 0, 8)
     dataset = play.load(job.data, spec)
-    scaling = Scaling.fit(dataset, job.training.split(len(dataset))[0], spec)
+    scaling = Scaling.fit(dataset, split(job, len(dataset))[0], spec)
     last = [dataset.observations[dataset.episode_ends[row["goal_demonstration"]] - 1][None] for row in rows]
     expected = np.stack([fitting_goal(state, start) for state, start in zip(last, starts, strict=True)])
     assert any(not np.array_equal(goal, state) for goal, state in zip(expected, last, strict=True))

@@ -340,3 +340,28 @@ print(sorted(new - {"torch", "numpy"}), len(methods.names()))
     root = Path(beso.__file__).parent.parent
     result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
     assert result.stdout == f"['beso'] {len(methods.names())}\n", result.stderr
+
+
+def test_a_model_that_diverges_in_its_last_update_is_not_saved(dataset, spec, make_job, tmp_path):
+    job = make_job("gcbc", steps=1, learning_rate=1e35, schedule="constant", weight_decay=0.0)
+    with pytest.raises(
+        UserError, match=r"gcbc seed 1: the validation loss is (nan|inf) after 1 steps; lower learning_rate"
+    ):
+        training.train(job, dataset, spec, torch.device("cpu"), tmp_path / "state")
+
+
+def test_a_flipped_bit_in_a_saved_state_starts_the_training_again(dataset, spec, make_job, tmp_path, caplog):
+    job, state = make_job("gcbc"), tmp_path / "state"
+    begun = training.Training(job, dataset, spec, torch.device("cpu"), state)
+    begun.step()
+    begun.save()
+    whole = state.read_bytes()
+    for place in (-1, len(whole) // 2):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1
+        state.write_bytes(damaged)
+        again = training.Training(job, dataset, spec, torch.device("cpu"), state)
+        assert again.done == 0
+        assert "is damaged; starting again" in caplog.text
+    state.write_bytes(whole)
+    assert training.Training(job, dataset, spec, torch.device("cpu"), state).done == 1

@@ -24,6 +24,7 @@ import numpy as np
 import pybullet
 import pybullet_data
 
+from beso.checks import not_copied, numbers
 from beso.envs.block_push.simulator.assets import write_assets
 
 CONTROL_HZ, PHYSICS_HZ = 10, 240
@@ -65,6 +66,8 @@ class _Client:
     def __init__(self) -> None:
         self.identifier = pybullet.connect(pybullet.DIRECT)
 
+    __copy__ = __deepcopy__ = not_copied
+
     def __getattr__(self, name: str) -> Any:
         function = functools.partial(getattr(pybullet, name), physicsClientId=self.identifier)
         setattr(self, name, function)
@@ -84,6 +87,7 @@ class BlockPushEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # noqa: RUF012 (as gymnasium has it)
+    __copy__ = __deepcopy__ = not_copied
 
     def __init__(
         self, render_mode: str | None = None, tolerance: float = 0.05, render_size: tuple[int, int] = (240, 320)
@@ -166,8 +170,12 @@ class BlockPushEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Args:
             options: {"goal": (G, 16) last states of a demonstration} asks for `info["goal"]`, the same made to fit this
                 episode (see `fitting_goal`).
+
+        Raises:
+            UserError: the goal has another shape, or a number that is not finite.
         """
         super().reset(seed=seed)
+        goal = numbers("goal", options["goal"], (None, 16)) if options and "goal" in options else None
         rng = self.np_random
         self._load_scene()
         self._move_effector_target(EFFECTOR_START.copy())
@@ -189,8 +197,8 @@ class BlockPushEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._pairs = []
         observation = self._observation()
         info: dict[str, Any] = {"tasks": ()}
-        if options and "goal" in options:
-            info["goal"] = fitting_goal(options["goal"], observation)
+        if goal is not None:
+            info["goal"] = fitting_goal(goal, observation)
         return observation, info
 
     def _draw_block_places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -208,8 +216,13 @@ class BlockPushEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._client.resetBasePositionAndOrientation(body, (xy[0], xy[1], z), quaternion)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Move the effector's target by `action` (metres), kept inside the workspace, and simulate 0.1 s."""
-        target = self._effector_target + np.asarray(action, dtype=np.float64)
+        """Move the effector's target by `action` (metres), kept inside the workspace, and simulate 0.1 s.
+
+        Raises:
+            UserError: the action has another shape, or a number that is not finite: the arm's inverse kinematics would
+                never end.
+        """
+        target = self._effector_target + numbers("action", action, (2,)).astype(np.float64)
         self._move_effector_target(np.clip(target, WORKSPACE_LOW, WORKSPACE_HIGH))
         self._simulate(SUBSTEPS)
         observation = self._observation()

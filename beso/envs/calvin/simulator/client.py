@@ -5,12 +5,16 @@ from typing import Any
 
 import pybullet
 
+from beso.checks import not_copied
+
 
 class Client:
     """A physics server; every function of `pybullet` is a method of it."""
 
     def __init__(self) -> None:
         self.identifier = pybullet.connect(pybullet.DIRECT)
+
+    __copy__ = __deepcopy__ = not_copied
 
     def __getattr__(self, name: str) -> Any:
         attribute = getattr(pybullet, name)

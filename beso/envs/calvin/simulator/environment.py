@@ -12,6 +12,7 @@ import cv2
 import gymnasium
 import numpy as np
 
+from beso.checks import not_copied, numbers
 from beso.envs.calvin.simulator import tasks
 from beso.envs.calvin.simulator.observations import ACTION_SIZE
 from beso.envs.calvin.simulator.play_table import CONTROL_HZ, PlayTable
@@ -42,6 +43,7 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # noqa: RUF012 (as gymnasium has it)
+    __copy__ = __deepcopy__ = not_copied
 
     def __init__(
         self, render_mode: str | None = None, size: int = 112, render_size: int = 240, assets: Path | None = None
@@ -61,9 +63,15 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         `options` may give "scene_obs" (24,), else everything is closed and off and the blocks' places are drawn;
         "robot_obs" (15,), else the arm starts at its neutral pose; "tasks" (34,), 1 for the wanted ones, else there are
         none; "goal" (1, size, size, 3), which `info` then returns. Observations are as large as the goal.
+
+        Raises:
+            UserError: one of these has another shape, or a number that is not finite.
         """
         super().reset(seed=seed)
-        options = options or {}
+        options = dict(options or {})
+        if "goal" in options:
+            options["goal"] = numbers("goal", options["goal"], (None, None, None, 3))
+        options["tasks"] = numbers("tasks", options.get("tasks", np.zeros(len(tasks.NAMES))), (len(tasks.NAMES),))
         scene_obs = options.get("scene_obs")
         if scene_obs is None:
             scene_obs = draw_scene(self.np_random, CLOSED_FIXTURES)
@@ -72,12 +80,12 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._goal: np.ndarray | None = options["goal"][-1] if goal else None
         self._shown = self.size if self._goal is None else len(self._goal)
         self._start = self.table.state()
-        self._wanted = np.array(options.get("tasks", np.zeros(len(tasks.NAMES))), dtype=bool)
+        self._wanted = options["tasks"].astype(bool)
         self._done: list[int] = []
         return self.table.picture(self._shown), {**self._info(self._start), **goal}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Carry out a relative action for 1/30 s."""
+        """Carry out a relative action for 1/30 s. Raises UserError if it is not 7 finite numbers."""
         self.table.step(action)
         state = self.table.state()
         reported = self._wanted & tasks.completed(self._start, state)

@@ -7,12 +7,14 @@ from typing import Final
 import numpy as np
 import pybullet_data
 
+from beso.checks import numbers
 from beso.envs.calvin.simulator.arm import Arm, neutral_robot_obs
 from beso.envs.calvin.simulator.assets import Assets, official_assets, write_assets
 from beso.envs.calvin.simulator.camera import picture
 from beso.envs.calvin.simulator.client import Client
 from beso.envs.calvin.simulator.fixtures import Fixtures
 from beso.envs.calvin.simulator.observations import (
+    ACTION_SIZE,
     BLOCKS,
     DRAWER,
     FIXTURES,
@@ -79,11 +81,10 @@ class PlayTable:
         One step of physics follows, as in CALVIN: contacts are known only after it.
 
         Raises:
-            ValueError: an array of another shape.
+            UserError: an array of another shape, or a number that is not finite.
         """
-        robot_obs = neutral_robot_obs() if robot_obs is None else robot_obs
-        if scene_obs.shape != (SCENE_SIZE,) or robot_obs.shape != (ROBOT_SIZE,):
-            raise ValueError(f"scene_obs {scene_obs.shape} and robot_obs {robot_obs.shape} must be (24,) and (15,)")
+        scene_obs = numbers("scene_obs", scene_obs, (SCENE_SIZE,))
+        robot_obs = neutral_robot_obs() if robot_obs is None else numbers("robot_obs", robot_obs, (ROBOT_SIZE,))
         self._load()
         self.fixtures.reset(scene_obs[FIXTURES])
         for i, body in enumerate(self._blocks):
@@ -94,8 +95,12 @@ class PlayTable:
         self._client.stepSimulation()
 
     def step(self, action: np.ndarray) -> None:
-        """Carry out a relative action (7,) for 1/30 s."""
-        self.arm.act(action)
+        """Carry out a relative action (7,) for 1/30 s.
+
+        Raises:
+            UserError: it is not 7 finite numbers: the arm's inverse kinematics would never end.
+        """
+        self.arm.act(numbers("action", action, (ACTION_SIZE,)))
         for _ in range(SUBSTEPS):
             self._client.stepSimulation()
         self.fixtures.update_lights()

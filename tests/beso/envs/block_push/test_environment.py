@@ -1,3 +1,5 @@
+import copy
+
 import gymnasium
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from beso import envs
 from beso.envs.block_push import evaluation, trials
 from beso.envs.block_push.simulator.environment import BlockPushEnv, fitting_goal
 from beso.envs.protocol import Outcome, Trial
+from beso.errors import UserError
 
 ARM, TOOL = 2, 3  # body numbers in the order of loading, after ground and work surface
 
@@ -164,3 +167,25 @@ def test_distance_is_the_mean_of_the_blocks_from_their_places():
 def test_rooms_load_by_name():
     assert envs.names() == sorted(envs.names())
     assert trials.MAX_ACTIONS == 299
+
+
+@pytest.mark.parametrize("action", [[np.nan, 0.0], [0.0, np.inf], [0.01], [[0.0, 0.0]], {"x": 0.0}])
+def test_an_action_that_is_not_two_finite_numbers_is_refused(env, action):
+    env.reset(seed=0)
+    for _ in range(2):  # two of them would hang the inverse kinematics
+        with pytest.raises(UserError, match=r"^action "):
+            env.step(action)
+    env.step(np.zeros(2))
+
+
+@pytest.mark.parametrize("goal", [np.full((1, 16), np.nan), np.zeros((1, 15)), np.zeros(16), np.zeros((0, 16))])
+def test_a_goal_that_is_not_states_is_refused(env, goal):
+    with pytest.raises(UserError, match=r"^goal "):
+        env.reset(seed=0, options={"goal": goal})
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
+def test_an_environment_is_not_copied(env, copied):
+    env.reset(seed=0)
+    with pytest.raises(TypeError, match="a BlockPushEnv cannot be copied: make another"):
+        copied(env)

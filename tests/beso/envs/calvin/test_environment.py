@@ -1,3 +1,5 @@
+import copy
+
 import gymnasium
 import numpy as np
 import pytest
@@ -5,6 +7,7 @@ from gymnasium.utils.env_checker import check_env
 
 import beso.envs.calvin.simulator  # noqa: F401 (registers the environment)
 from beso.envs.calvin.simulator import CalvinEnv
+from beso.errors import UserError
 
 
 @pytest.fixture(scope="module")
@@ -70,3 +73,35 @@ def test_a_goal_stands_beside_what_is_filmed(scene):
     env.reset(options={"scene_obs": scene})
     assert np.array_equal(env.render(), now)
     env.close()
+
+
+@pytest.mark.parametrize("action", [[np.nan, *[0.0] * 6], [0.0] * 6, [[0.0] * 7], [*[0.0] * 6, np.inf]])
+def test_an_action_that_is_not_seven_finite_numbers_is_refused(env, action):
+    env.reset(seed=0)
+    for _ in range(2):  # two of them would hang the inverse kinematics
+        with pytest.raises(UserError, match=r"^action "):
+            env.step(action)
+    env.step(np.zeros(7))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("scene_obs", np.full(24, np.nan)),
+        ("scene_obs", np.zeros(23)),
+        ("robot_obs", np.full(15, np.inf)),
+        ("tasks", np.zeros(33)),
+        ("goal", np.zeros((48, 48, 3), dtype=np.uint8)),
+    ],
+)
+def test_a_start_that_is_no_state_is_refused(env, name, value):
+    with pytest.raises(UserError, match=f"^{name} "):
+        env.reset(seed=0, options={name: value})
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
+def test_an_environment_is_not_copied(env, copied):
+    with pytest.raises(TypeError, match="a CalvinEnv cannot be copied: make another"):
+        copied(env)
+    with pytest.raises(TypeError, match="a Client cannot be copied"):
+        copy.deepcopy(env.table)

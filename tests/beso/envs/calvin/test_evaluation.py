@@ -131,7 +131,7 @@ def test_a_policy_that_was_trained_with_its_encoder_sees_frames(name, make_datas
     config = EvaluationConfig(seed=3, rollouts=3, goals=("single_tasks",), chunk=2, max_actions=4)
     sampling = build(methods.sampling(name), small_models[name][1], "sampling")
     folders = (data, tmp_path / "trials", tmp_path / "models")
-    job = EvaluationJob("calvin", *folders, training, sampling, config, "cpu")
+    job = EvaluationJob("calvin", *folders, training.seed, sampling, config, "cpu")
     played = {workers: play_workers(job, workers) for workers in (1, 2)}
     assert played[1] == played[2]
     assert [row["length"] for row in played[1]] == [4, 4, 4]
@@ -145,7 +145,7 @@ def test_a_policy_that_was_trained_with_its_encoder_sees_frames(name, make_datas
     assert action.shape == (7,)
     policy.reset(goal)
     assert np.array_equal(policy.act(frames[5]), action)
-    with pytest.raises(UserError, match=r"takes uint8 frames \(B, 32, 32, 3\)"):
+    with pytest.raises(UserError, match=r"observation has shape \(31, 32, 3\), expected \(32, 32, 3\)"):
         policy.act(frames[5][:31])
 
 
@@ -169,7 +169,7 @@ def test_a_policy_is_evaluated_on_pictures(environment, make_dataset, make_job, 
     config = EvaluationConfig(seed=3, rollouts=2, goals=("single_tasks",), chunk=2, max_actions=4)
     sampling = build(methods.sampling("gcbc"), small_models["gcbc"][1], "sampling")
     folders = (tmp_path / "data", tmp_path / "trials", tmp_path / "models")
-    job = EvaluationJob("calvin", *folders, training, sampling, config, "cpu")
+    job = EvaluationJob("calvin", *folders, training.seed, sampling, config, "cpu")
     (rows,) = evaluate(job, [Chunk("single_tasks", 0, 2)])
     assert [list(row.values()) for row in rows] == [
         [training.seed, "single_tasks", i, str(SPEC.tasks.index(TASKS[i])), "", 0, 0, 4] for i in range(2)
