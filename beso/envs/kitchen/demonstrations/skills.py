@@ -88,40 +88,10 @@ def knob(site: str, coordinate: int) -> Movement:
     def movement(scene: Scene, rng: np.random.Generator, mode: str) -> Iterator[Segment]:
         angle = rng.uniform(0.85, 1.05)  # it counts as turned from 0.62 on, and no longer above 1.18
         pitch = rng.uniform(0, 0.15)
-        turn = {"push": push_knob, "twist": twist_knob}[mode]
-        yield from turn(scene, rng, site, coordinate, angle, pitch)
+        yield from twist_knob(scene, rng, site, coordinate, angle, pitch)
         yield retreat(scene.hand().moved(0, -0.13, 0), fingers=0.02, near=0.04)
 
     return movement
-
-
-def push_knob(
-    scene: Scene, rng: np.random.Generator, site: str, coordinate: int, angle: float, pitch: float
-) -> Iterator[Segment]:
-    """Press the closed fingers against the bar above its middle, from the left, and follow it round."""
-    # Less yaw, or reaching deeper, brings a second contact whose friction holds the knob.
-    yaw, depth = rng.uniform(0.22, 0.42), rng.uniform(0.047, 0.053)
-    radius, pressure = rng.uniform(0.030, 0.040), rng.uniform(45, 60)
-    centre, rotation = scene.site(site), hand_rotation(yaw, pitch)
-
-    def beside_bar(angle: float, gap: float) -> Pose:
-        along, normal = np.array([np.sin(angle), 0, np.cos(angle)]), np.array([np.cos(angle), 0, -np.sin(angle)])
-        return Pose(centre + radius * along - gap * normal, rotation).moved(0, -depth, 0)
-
-    def press() -> np.ndarray:
-        turned = scene.coordinate(coordinate)
-        return pressure * np.array([np.cos(turned), 0, np.sin(turned)])
-
-    start = beside_bar(0.0, gap=0.055)
-    yield approach(start.moved(0, -0.12, rng.uniform(-0.03, 0.03)), CLOSED)
-    yield reach(start, CLOSED, near=0.012, aligned=0.25)
-    yield Segment(
-        lambda: beside_bar(0.06 - scene.coordinate(coordinate), gap=0.022),
-        CLOSED,
-        speed=0.06,
-        until=lambda: scene.coordinate(coordinate) < -angle,
-        force=press,
-    )
 
 
 def twist_knob(
@@ -143,25 +113,18 @@ def twist_knob(
 
 
 def light_switch(scene: Scene, rng: np.random.Generator, mode: str) -> Iterator[Segment]:
-    """Push the switch to the left: between the open fingers, or with the closed hand from its right."""
+    """Push the switch to the left between the open fingers, which point up: level ones slip off above or below it."""
     switch = scene.site("light_site")
-    pitch, height = rng.uniform(0.05, 0.2), rng.uniform(-0.01, 0.01)
+    yaw, pitch, height = rng.uniform(0.05, 0.2), rng.uniform(0.8, 1.05), rng.uniform(-0.023, -0.017)
     pressure, angle = rng.uniform(30, 45), rng.uniform(0.6, 0.68)
-    if mode == "around":
-        fingers, yaw, yaw_change = OPEN, rng.uniform(0.05, 0.2), 0.1
-        start = Pose(switch, hand_rotation(yaw, pitch)).moved(0, -0.03, height)
-    else:
-        fingers, yaw, yaw_change = CLOSED, rng.uniform(-0.15, 0.05), 0.0
-        start = Pose(switch, hand_rotation(yaw, pitch)).moved(0.05, -0.035, height)
-    end = Pose(
-        np.array([switch[0] - 0.13, start.position[1], start.position[2]]), hand_rotation(yaw + yaw_change, pitch)
-    )
+    start = Pose(switch, hand_rotation(yaw, pitch)).moved(0, 0, height)
+    end = Pose(start.position, hand_rotation(yaw + 0.1, pitch)).moved(-0.13, 0, 0)
 
-    yield approach(start.moved(0.01, -0.12, rng.uniform(-0.03, 0.03)), fingers)
-    yield reach(start, fingers, near=0.015, longest=10)
+    yield approach(start.moved(0.01, -0.12, rng.uniform(-0.03, 0.03)), OPEN)
+    yield reach(start, OPEN, near=0.015, longest=10)
     yield Segment(
         lambda: end,
-        fingers,
+        OPEN,
         speed=0.025,
         until=lambda: scene.coordinate(17) < -angle,
         force=lambda: np.array([-pressure, 0, 0]),
@@ -211,15 +174,16 @@ def hinge_cabinet(scene: Scene, rng: np.random.Generator, mode: str) -> Iterator
 
 
 ONE_WAY = (("pull",), (1.0,))
-KNOB_WAYS = (("push", "twist"), (0.6, 0.4))
+KNOB_WAYS = (("twist",), (1.0,))
 PUSH_WAYS = (("around", "beside"), (0.5, 0.5))
+LIGHT_WAYS = (("below",), (1.0,))
 
 SKILLS = {
     spec.MICROWAVE: Skill(microwave, *ONE_WAY),
     spec.KETTLE: Skill(kettle, ("left post", "right post"), (0.5, 0.5)),
     spec.BOTTOM_BURNER: Skill(knob("knob2_site", 11), *KNOB_WAYS),
     spec.TOP_BURNER: Skill(knob("knob4_site", 15), *KNOB_WAYS),
-    spec.LIGHT_SWITCH: Skill(light_switch, *PUSH_WAYS),
+    spec.LIGHT_SWITCH: Skill(light_switch, *LIGHT_WAYS),
     spec.SLIDE_CABINET: Skill(slide_cabinet, *PUSH_WAYS),
     spec.HINGE_CABINET: Skill(hinge_cabinet, *ONE_WAY),
 }

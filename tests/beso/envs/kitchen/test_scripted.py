@@ -25,11 +25,11 @@ def demonstrations():
 
 @pytest.mark.parametrize(("task", "mode"), MODES, ids=lambda value: str(value))
 def test_every_skill_succeeds_in_every_mode(env, task, mode):
-    """At the second attempt at the latest, and most of the time at the first."""
+    """Without a mistake: at the second attempt at the latest, and most of the time at the first."""
     attempts = 0
     for i in range(3):
         player = Player(env, generator(1, "test of a skill", task, i))
-        assert player.do(task, mode)
+        assert player.do(task, mode, attempts=2, mistake=np.zeros(3))
         attempts += len(player.modes)
     assert attempts <= 4
 

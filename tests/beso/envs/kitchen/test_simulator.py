@@ -54,8 +54,8 @@ def test_observation_is_the_robot_and_the_objects_with_the_relay_environments_no
         observation, _ = env.reset(seed=seed)
         assert observation.dtype == np.float64
         noise.append(observation - env.data.qpos)
-    # The last 21 of the 35 amplitudes in the relay environment's configuration, times 0.1
-    amplitudes = 3 * [0.0005] + 3 * [0.005] + 3 * [0.1] + 3 * [0.005] + 3 * [0.1] + 3 * [0.005] + 3 * [0.1]
+    # Entries 9 to 29 of the 35 amplitudes in the relay environment's configuration, times 0.1
+    amplitudes = 2 * [0.005] + 6 * [0.0005] + 3 * [0.005] + 3 * [0.1] + 3 * [0.005] + 3 * [0.1] + [0.005]
     largest = np.concatenate([np.full(9, 0.01), 0.1 * np.array(amplitudes)])
     noise = np.array(noise) / largest
     assert np.abs(noise).max() <= 1 + 1e-9
