@@ -70,7 +70,8 @@ def kettle(scene: Scene, rng: np.random.Generator, mode: str) -> Iterator[Segmen
     yield reach(post, OPEN, near=0.015, longest=10, speed=0.035)
     yield hold(post, CLOSED, 3, speed=0.03)
     yield Segment(lambda: post.moved(0, 0.01, lift), CLOSED, speed=0.03, near=0.015, longest=6)
-    yield Segment(lambda: there.moved(0, -0.1, lift), CLOSED, speed=0.035, longest=20)
+    yield Segment(lambda: there.moved(0.02, -0.24, lift), CLOSED, speed=0.035, longest=12)  # clear of the microwave
+    yield Segment(lambda: there.moved(0, -0.1, lift), CLOSED, speed=0.035, longest=12)
     yield Segment(lambda: there, CLOSED, speed=0.03, longest=10)
     yield hold(scene.hand().moved(0, 0, -0.01), OPEN, 3)
     away = Pose(scene.hand().position, post.rotation).moved(0, -0.2, 0)
@@ -113,13 +114,13 @@ def knob(site: str, coordinate: int) -> Movement:
 
 
 def light_switch(scene: Scene, rng: np.random.Generator, mode: str) -> Iterator[Segment]:
-    """Push the switch to the left between the open fingers, the hand pointing to the right or to the left.
+    """Push the switch to the left between the open fingers, the hand pointing up, more or less.
 
-    It also points up, so that the finger that pushes is long: one that is level slips off above or below the switch.
+    A finger that is level slips off above or below the switch.
     """
     switch = scene.site("light_site")
-    yaw = rng.uniform(0.05, 0.2) if mode == "from left" else rng.uniform(-0.45, -0.3)
-    pitch, height = rng.uniform(0.8, 1.05), rng.uniform(-0.023, -0.017)
+    pitch = rng.uniform(0.75, 0.9) if mode == "slanted" else rng.uniform(1.1, 1.25)
+    yaw, height = rng.uniform(0, 0.2), rng.uniform(-0.023, -0.017)
     pressure, angle = rng.uniform(30, 45), rng.uniform(0.6, 0.68)
     start = Pose(switch, hand_rotation(yaw, pitch)).moved(0, 0, height)
     end = Pose(start.position, hand_rotation(yaw + 0.1, pitch)).moved(-0.13, 0, 0)
@@ -180,7 +181,7 @@ def hinge_cabinet(scene: Scene, rng: np.random.Generator, mode: str) -> Iterator
 ONE_WAY = (("pull",), (1.0,))
 KNOB_WAYS = (("middle", "upper end"), (0.5, 0.5))
 PUSH_WAYS = (("around", "beside"), (0.5, 0.5))
-LIGHT_WAYS = (("from left", "from right"), (0.5, 0.5))
+LIGHT_WAYS = (("slanted", "steep"), (0.5, 0.5))
 
 SKILLS = {
     spec.MICROWAVE: Skill(microwave, *ONE_WAY),

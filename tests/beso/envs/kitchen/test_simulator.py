@@ -64,6 +64,32 @@ def test_observation_is_the_robot_and_the_objects_with_the_relay_environments_no
     assert np.abs(noise.std(axis=0) - 3**-0.5).max() < 0.08
 
 
+# Largest deviation from the mean at rest in people's demonstrations, by entry (25 steps of four episodes, rad or m)
+HUMAN_NOISE = {
+    9: 8e-4,
+    10: 8e-4,
+    12: 6e-5,
+    13: 6e-5,
+    14: 6e-5,
+    15: 6e-5,
+    16: 6e-5,
+    17: 6e-4,
+    20: 0.011,
+    23: 6e-4,
+    29: 6e-4,
+}
+
+
+def test_noise_is_no_larger_than_in_peoples_demonstrations(env):
+    """Where nothing moves, a policy that learnt from them sees scaled noise as large as in them, and no larger."""
+    entries = list(HUMAN_NOISE)
+    noise = np.zeros(len(entries))
+    for seed in range(100):
+        observation, _ = env.reset(seed=seed)
+        noise = np.maximum(noise, np.abs(observation - env.data.qpos)[entries])
+    assert (noise <= list(HUMAN_NOISE.values())).all()
+
+
 def test_noise_acts_on_the_robot_because_actions_start_from_the_observed_pose(env):
     observation, _ = env.reset(seed=0)
     env.step(np.full(9, 0.1, dtype=np.float32))
