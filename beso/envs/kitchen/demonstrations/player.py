@@ -14,20 +14,32 @@ LIMIT = 280  # actions, the environment's usual length
 DETOUR_PROBABILITY = 0.35
 DETOUR_SPREAD = np.array([0.06, 0.04, 0.06])  # m
 SPEED_FACTOR = (0.85, 1.15)
-LARGEST_TREMOR = 0.03  # standard deviation, in units of actions
+LARGEST_TREMOR = 0.15  # standard deviation, in units of actions
 TREMOR_MEMORY = 0.8  # share of the tremor that is left after a step; 0.6 of new noise keeps its size
+ATTEMPTS = 3
+MISTAKE_PROBABILITY = 0.25  # of a first attempt
+MISTAKE = (0.02, 0.04)  # m
+
+
+def direction(rng: np.random.Generator) -> np.ndarray:
+    """A vector (3,) of length 1, all directions equally likely."""
+    vector = rng.standard_normal(3)
+    return vector / np.linalg.norm(vector)
 
 
 class Player:
     """One episode.
 
+    A tremor moves the arm, a first-order autoregressive noise. What is kept is what the player wants in the state that
+    the tremor led to, not what the arm does (Laskey et al. 2017, DART): the way back, and no noise.
+
     Args:
         env: the kitchen; it is reset.
-        rng: for the modes, the places, the speed and a tremor of the arm, a first-order autoregressive noise.
+        rng: for the modes, the places, the mistakes, the speed and the tremor.
 
     Attributes:
         observations: (30,) each, noisy; one more than actions.
-        actions: (9,) float32 each.
+        actions: (9,) float32 each, without the tremor.
         completed: tasks that the environment counts as done, in order.
         done: (7,) booleans for each observation, what is done in it.
         modes: (task, mode) of every attempt.
@@ -43,15 +55,33 @@ class Player:
         self.completed: tuple[int, ...] = info["tasks"]
         self.modes: list[tuple[int, str]] = []
 
-    def do(self, task: int, mode: str | None = None, attempts: int = 2) -> bool:
-        """Do one task, in a given or a drawn mode, trying again if it is not done afterwards; whether it is."""
+    def do(
+        self, task: int, mode: str | None = None, attempts: int = ATTEMPTS, mistake: np.ndarray | None = None
+    ) -> bool:
+        """Do one task, trying again if it is not done afterwards; whether it is.
+
+        Args:
+            task: its number.
+            mode: one of the skill's; None draws one for each attempt.
+            attempts: at most so many.
+            mistake: metres (3,) from the thing to where the first attempt takes it to be; None draws it. Later attempts
+                make none.
+        """
+        self._scene.mistake = self._mistake() if mistake is None else mistake
         for _ in range(attempts):
             drawn = mode or SKILLS[task].draw_mode(self._rng)
             self.modes.append((task, drawn))
             self._follow(SKILLS[task].movement(self._scene, self._rng, drawn))
+            self._scene.mistake = np.zeros(3)
             if self.done[-1][task]:
                 return True
         return False
+
+    def _mistake(self) -> np.ndarray:
+        """Nothing, or now and then a vector in a random direction."""
+        if self._rng.random() >= MISTAKE_PROBABILITY:
+            return np.zeros(3)
+        return self._rng.uniform(*MISTAKE) * direction(self._rng)
 
     def _follow(self, segments: Iterable[Segment]) -> None:
         for segment in segments:
@@ -77,12 +107,13 @@ class Player:
             force = segment.force() if segment.force else None
             action = self._scene.arm.action(target, segment.fingers, speed, turn, force)
             self._tremor = TREMOR_MEMORY * self._tremor + 0.6 * self._tremor_size * self._rng.standard_normal(7)
-            action[:7] = np.clip(action[:7] + self._tremor, -1, 1)
-            self._act(action.astype(np.float32))
+            disturbed = action.copy()
+            disturbed[:7] = np.clip(action[:7] + self._tremor, -1, 1)
+            self._act(action.astype(np.float32), disturbed.astype(np.float32))
 
-    def _act(self, action: np.ndarray) -> None:
-        observation, _, _, _, info = self._env.step(action)
-        self.actions.append(action)
+    def _act(self, wanted: np.ndarray, disturbed: np.ndarray) -> None:
+        observation, _, _, _, info = self._env.step(disturbed)
+        self.actions.append(wanted)
         self.observations.append(observation)
         self.done.append(self._env.done())
         self.completed = info["tasks"]

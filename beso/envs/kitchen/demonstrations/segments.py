@@ -13,10 +13,15 @@ ANY = np.inf  # a tolerance
 
 
 class Scene:
-    """What a skill may look at: the true state of a kitchen."""
+    """What a skill may look at: the state of a kitchen.
+
+    Attributes:
+        mistake: metres (3,) from where marked points are to where they are believed to be.
+    """
 
     def __init__(self, env: KitchenEnv) -> None:
         self._data = env.data
+        self.mistake = np.zeros(3)
         self.arm = Arm(env.model, env.data)
 
     def hand(self) -> Pose:
@@ -24,8 +29,8 @@ class Scene:
         return self.arm.pose()
 
     def site(self, name: str) -> np.ndarray:
-        """The place (3,) of a marked point, metres."""
-        return self._data.site(name).xpos.copy()
+        """Where a marked point is believed to be (3,), metres."""
+        return np.asarray(self._data.site(name).xpos + self.mistake)
 
     def body(self, name: str) -> Pose:
         """The pose of a body."""

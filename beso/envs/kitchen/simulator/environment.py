@@ -22,9 +22,11 @@ from beso.envs.kitchen.simulator.camera import Camera
 from beso.envs.kitchen.simulator.franka_kitchen import franka_kitchen
 
 ROBOT, OBJECTS = slice(0, 9), slice(18, 39)  # in the wrapped environment's observation; the rest are velocities
-# Largest noise of the 21 objects' coordinates: 0.1 times the amplitudes that the relay environment uses, the last 21 of
-# its configuration's 35. The wrapped environment would use others, and the robot's last for its first.
-OBJECT_NOISE = 0.1 * np.repeat([0.0005, 0.005, 0.1, 0.005, 0.1, 0.005, 0.1], 3)
+# Largest noise of the 21 objects' coordinates: 0.1 times the amplitudes that the relay environment takes from its
+# configuration's 35, those of entries 9 to 29. The wrapped environment would use others, and the robot's last for its
+# first.
+AMPLITUDES = (0.005, 0.0005, 0.005, 0.1, 0.005, 0.1, 0.005)
+OBJECT_NOISE = 0.1 * np.repeat(AMPLITUDES, (2, 6, 3, 3, 3, 3, 1))
 
 
 class KitchenEnv(gymnasium.Env[np.ndarray, np.ndarray]):
