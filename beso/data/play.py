@@ -64,6 +64,11 @@ class PlayDataset:
         return self.meta.get("finetune", {}).get("frame_size")
 
     @property
+    def labelled(self) -> bool:
+        """Whether it is known which tasks are completed; most published play does not tell, and `tasks` is zero."""
+        return self.meta.get("labelled", True) is not False
+
+    @property
     def episode_starts(self) -> np.ndarray:
         """Index of each episode's first step, (episodes,)."""
         return np.concatenate([[0], self.episode_ends[:-1]])
@@ -113,6 +118,8 @@ def check(dataset: PlayDataset, spec: PlaySpec, where: str) -> None:
         if arrays[name].dtype.kind == "f" and not np.isfinite(arrays[name]).all():
             step = int(np.argwhere(~np.isfinite(arrays[name]).all(axis=1))[0, 0])
             raise UserError(f"{where}: {name} has a value that is not finite (NaN or infinity), first at step {step}")
+    if (dataset.tasks > 1).any():
+        raise UserError(f"{where}: tasks hold {dataset.tasks.max()}, expected 0 and 1")
 
 
 def save(dataset: PlayDataset, folder: Path, beside: Iterable[Path] = ()) -> None:

@@ -7,6 +7,8 @@ Rows are steps of whole episodes, one after another; `episode_ends` has the inde
 A stage verifies the SHA-256 of what it reads once; the jobs that it starts need not do it again.
 """
 
+import math
+import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -93,6 +95,41 @@ def check(arrays: Mapping[str, np.ndarray], columns: Mapping[str, Column], where
     rising = ends.ndim == 1 and ends.dtype == np.int64 and len(ends) > 0 and (np.diff(ends, prepend=0) > 0).all()
     if not rising or ends[-1] != steps:
         raise UserError(f"{where}: {ENDS} does not rise from above 0 to the number of steps, {steps}")
+
+
+def read_npz(path: Path, names: Iterable[str], largest: int) -> dict[str, np.ndarray]:
+    """Some arrays of an .npz file, without unpickling anything.
+
+    Args:
+        largest: bytes that an array may have; what its header says is compared before it is read.
+
+    Raises:
+        UserError: the file is missing or damaged, has no array of a name, or one that is too large or not of real
+            numbers.
+    """
+    found = {}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = set(archive.namelist())
+            for name in names:
+                if f"{name}.npy" not in members:
+                    raise UserError(f"{path} has no array of this name: {name}")
+                with archive.open(f"{name}.npy") as file:
+                    version = np.lib.format.read_magic(file)
+                    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+                    shape, _, dtype = headers[version](file)
+                if dtype.kind not in "biuf" or math.prod(shape) * dtype.itemsize > largest:
+                    kind = f"real numbers, {largest} bytes at most"
+                    raise UserError(f"{path}: {name} holds {dtype} {shape}, expected {kind}")
+                with archive.open(f"{name}.npy") as file:
+                    found[name] = np.lib.format.read_array(file, allow_pickle=False)
+    except FileNotFoundError:
+        raise UserError(f"{path} is missing") from None
+    except UserError:
+        raise
+    except Exception as error:  # zipfile, zlib and numpy raise many kinds, some with advice to unpickle the file
+        raise UserError(f"{path} is truncated or is not an .npz file ({type(error).__name__})") from None
+    return found
 
 
 def write_npy(path: Path, array: np.ndarray) -> None:

@@ -15,12 +15,13 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from beso.config import build, require, require_positive
+from beso.config import build, require
 from beso.encoders.resnet import FEATURES, ResNet18, check_width
 from beso.errors import UserError
 from beso.files import check_sha256, read_json, replacing, sha256, write_json
 
 WEIGHTS, DESCRIPTION = "encoder.safetensors", "encoder.json"
+LARGEST: Final = 4096  # pixels
 BATCH: Final = 16  # always so many frames at a time: another batch size is another order of sums in the products
 
 
@@ -43,7 +44,7 @@ class Encoding:
 
     def __post_init__(self) -> None:
         check_width(self.width)
-        require_positive(self, "size")
+        require(1 <= self.size <= LARGEST, f"size = {self.size}: must be at least 1 and at most {LARGEST}")
         require(len(self.mean) == len(self.std) == 3, "mean and std must have three numbers each")
         require(min(self.std) > 0, f"std = {list(self.std)}: must be above 0")
 
@@ -151,5 +152,8 @@ def network(width: int, weights: Mapping[str, Tensor], where: str) -> ResNet18:
         if shape != expected.get(name):
             mismatch = f"{name} has shape {shape}, not {expected.get(name)}"
             raise UserError(f"{where} does not hold a ResNet-18 of width {width}: {mismatch}")
+    for name, value in found.items():
+        if not value.isfinite().all():
+            raise UserError(f"{where}: {name} holds numbers that are not finite")
     made.load_state_dict(found)
     return made

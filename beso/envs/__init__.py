@@ -22,6 +22,7 @@ parts of its own room alone.
 from __future__ import annotations
 
 import importlib
+import os
 import pkgutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,4 +100,10 @@ def probe_targets(name: str) -> tuple[Target, ...]:
 def _part(name: str, part: str) -> Any:
     if name not in names():
         raise UserError(f"environment {name!r} is not one of {', '.join(names())}")
-    return importlib.import_module(f"beso.envs.{name}.{part}")
+    try:
+        return importlib.import_module(f"beso.envs.{name}.{part}")
+    except (ImportError, RuntimeError) as error:  # a package that is missing, or OpenGL settings that it refuses
+        settings = [f"{key}={os.environ[key]}" for key in ("MUJOCO_GL", "PYOPENGL_PLATFORM") if key in os.environ]
+        hint = f", with {' and '.join(settings)} in the environment" if settings else ""
+        cause = str(error).strip().splitlines() or [type(error).__name__]
+        raise UserError(f"environment {name!r} cannot be loaded{hint}: {cause[0]}") from error

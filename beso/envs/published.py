@@ -1,13 +1,27 @@
-"""Reading published play data: padded arrays of demonstrations, as .npy or .pth files."""
+"""Reading published play data: padded arrays of demonstrations, as .npy or .pth files; and the checks of all importers.
 
+Whatever the source, a demonstration is checked before its numbers become those of a play dataset: `check`.
+"""
+
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from beso.checks import numbers
+from beso.data.spec import PlaySpec
 from beso.data.store import read_npy
 from beso.errors import UserError
+
+SUFFIXES = (".npy", ".pth")
+NOT_NUMPYS = (torch.bfloat16, torch.float8_e4m3fn, torch.float8_e5m2)
+MARGIN = 1 << 20  # bytes that a .pth file may unpack to beyond its own size
+
+
+class NothingError(UserError):
+    """A folder holds none of the files."""
 
 
 def padded(
@@ -24,6 +38,9 @@ def padded(
     Raises:
         UserError: a file is missing or damaged, or shapes do not fit together.
     """
+    if not any((folder / (stem + suffix)).is_file() for stem in files.values() for suffix in SUFFIXES):
+        wanted = ", ".join(files.values())
+        raise NothingError(f"{folder} holds no demonstrations: `folder` must hold {wanted} (.npy or .pth)")
     paths = {name: find(folder, stem) for name, stem in files.items()}
     arrays = {name: read(path) for name, path in paths.items()}
     shape, where = arrays["masks"].shape, paths["masks"]
@@ -42,12 +59,14 @@ def find(folder: Path, stem: str) -> Path:
     """The .npy or .pth file of that stem.
 
     Raises:
-        UserError: there is neither.
+        UserError: there is neither, or there are both.
     """
-    for suffix in (".npy", ".pth"):
-        if (folder / (stem + suffix)).is_file():
-            return folder / (stem + suffix)
-    raise UserError(f"{folder / stem}.npy is missing (nor is there a .pth file of that name)")
+    found = [path for suffix in SUFFIXES if (path := folder / (stem + suffix)).is_file()]
+    if len(found) > 1:
+        raise UserError(f"{folder / stem} is there as .npy and as .pth: one of them must go")
+    if not found:
+        raise UserError(f"{folder / stem}.npy is missing (nor is there a .pth file of that name)")
+    return found[0]
 
 
 def read(path: Path) -> np.ndarray:
@@ -58,12 +77,26 @@ def read(path: Path) -> np.ndarray:
     """
     if path.suffix == ".npy":
         return read_npy(path)
+    size = path.stat().st_size
     try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                unpacked = sum(member.file_size for member in archive.infolist())
+            if unpacked > size + MARGIN:
+                raise UserError(f"{path} is damaged: its {size} bytes would unpack to {unpacked}")
         tensor = torch.load(path, map_location="cpu", weights_only=True)
+    except UserError:
+        raise
     except Exception as error:  # torch raises many kinds, with advice that does not belong here
         raise UserError(f"{path} is damaged or holds more than plain tensors ({type(error).__name__})") from None
     if not isinstance(tensor, torch.Tensor):
         raise UserError(f"{path} holds a {type(tensor).__name__}, expected one tensor")
+    plain = tensor.layout == torch.strided and not tensor.is_quantized and tensor.dtype not in NOT_NUMPYS
+    if not plain or tensor.is_complex():
+        kind = tensor.dtype if tensor.layout == torch.strided else tensor.layout
+        raise UserError(f"{path} holds a tensor of {kind}, expected plain real numbers".replace("torch.", ""))
+    if tensor.numel() * tensor.element_size() > size:
+        raise UserError(f"{path} is damaged: {tensor.numel()} numbers in {size} bytes")
     return tensor.detach().numpy()
 
 
@@ -76,11 +109,48 @@ def lengths(masks: np.ndarray, path: Path) -> np.ndarray:
     Raises:
         UserError: a mask is something else.
     """
-    counts = (masks > 0).sum(axis=1)
-    bad = np.nonzero((counts == 0) | ((masks > 0) != (np.arange(masks.shape[1]) < counts[:, None])).any(axis=1))[0]
+    counts = (masks == 1).sum(axis=1)
+    bad = np.nonzero((counts == 0) | (masks != (np.arange(masks.shape[1]) < counts[:, None])).any(axis=1))[0]
     if len(bad):
         raise UserError(f"{path}: the mask of demonstration {bad[0]} is not ones followed by zeros")
     return counts
+
+
+def check(
+    episode: tuple[np.ndarray, np.ndarray, np.ndarray],
+    spec: PlaySpec,
+    largest: Mapping[str, float],
+    where: str,
+    may_fail: bool = False,
+) -> None:
+    """Check one demonstration, as it is in its file.
+
+    Args:
+        episode: observations (T, O), actions (T, A), and labels of tasks (T, K), zeros and ones.
+        largest: what the numbers of "observations" and "actions" reach at most, up or down.
+        where: what it is, for messages.
+        may_fail: it need not complete a task: it ran into its limit.
+
+    Raises:
+        UserError: lengths or widths differ, a number is not real, not finite or out of range, a label is neither 0 nor
+            1, or no task is completed.
+    """
+    steps = len(episode[0])
+    widths = {"observations": spec.observation_size, "actions": spec.action_size, "tasks": len(spec.tasks)}
+    for array, (name, width) in zip(episode, widths.items(), strict=True):
+        within(f"{where}: {name}", numbers(f"{where}: {name}", array, (steps, width)), largest.get(name, 1))
+    labels = episode[2]
+    if not np.isin(labels, (0, 1)).all():
+        raise UserError(f"{where}: tasks hold {labels[~np.isin(labels, (0, 1))][0]}, expected 0 and 1")
+    if not labels.any() and not may_fail:
+        raise UserError(f"{where}: no task is completed")
+
+
+def within(what: str, array: np.ndarray, largest: float) -> None:
+    """Raise UserError if finite numbers reach beyond `largest`, up or down."""
+    worst = max(float(array.max(initial=0)), -float(array.min(initial=0)))
+    if worst > largest:
+        raise UserError(f"{what} reach {worst:.6g}, expected at most {largest:g}")
 
 
 def first_entries(onehot: np.ndarray) -> np.ndarray:

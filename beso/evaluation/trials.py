@@ -57,7 +57,7 @@ def load(folder: Path) -> Trials:
     options, description = store.read(folder, None, missing, description=DESCRIPTION)
     entries = description.get("trials")
     if not (isinstance(entries, list) and entries and all(map(_is_entry, entries))):
-        raise UserError(f"{path} is damaged: it must hold trials, each with {', '.join(FIELDS)}")
+        raise UserError(f"{path} is damaged: it must hold trials, each with {', '.join(FIELDS)}, limit above 0")
     for name, array in options.items():
         if array.shape[:1] != (len(entries),):
             shape, count = array.shape, len(entries)
@@ -73,7 +73,10 @@ def load(folder: Path) -> Trials:
 
 
 def _is_entry(entry: Any) -> bool:
-    return isinstance(entry, dict) and all(type(entry.get(name)) is kind for name, kind in FIELDS.items())
+    if not (isinstance(entry, dict) and all(type(entry.get(name)) is kind for name, kind in FIELDS.items())):
+        return False
+    whole = all(type(task) is int and task >= 0 for task in entry["tasks"])
+    return whole and entry["limit"] >= 1 and min(entry["seed"], entry["number"]) >= 0
 
 
 def pick(trials: Trials, goals: str, model_seed: int, numbers: Iterable[int]) -> list[Trial]:

@@ -11,13 +11,15 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from beso.config import require_name, require_positive
+from beso.config import require, require_name, require_positive
 from beso.core.method import ContextSampling, SamplingConfig
 from beso.core.noise import Noise
 from beso.diffusion.score_policy import DiffusionConfig, ScorePolicy, check_range
 from beso.sampling.guidance import classifier_free
 from beso.sampling.samplers import SAMPLERS
 from beso.sampling.schedules import SCHEDULES
+
+MOST_STEPS = 10_000
 
 
 @functools.lru_cache
@@ -51,6 +53,7 @@ class DiffusionSampling(SamplingConfig):
         require_name(self, "sampler", SAMPLERS)
         require_name(self, "schedule", SCHEDULES)
         require_positive(self, "steps", "context_length")
+        require(self.steps <= MOST_STEPS, f"steps = {self.steps}: must be at most {MOST_STEPS}")
         check_range(self.sigma_min, self.sigma_max)
         self.sigmas()  # some schedules refuse too many steps
 

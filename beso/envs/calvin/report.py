@@ -17,24 +17,27 @@ STEPS_AN_HOUR = 30 * 3600
 
 
 def statistics(dataset: PlayDataset) -> dict[str, float]:
-    """Size, lengths, how much is done, and the share of each task."""
+    """Size, lengths, how much is done, and the share of each task; the last two of labelled play alone."""
     done, hours = int(dataset.tasks.sum(dtype=int)), len(dataset.tasks) / STEPS_AN_HOUR
+    size = {**sizes(dataset), "hours of play": hours}
+    if not dataset.labelled:
+        return size
     return {
-        **sizes(dataset),
-        "hours of play": hours,
+        **size,
         "tasks done a minute": done / (60 * hours),
         **{f"share of tasks: {task}": share for task, share in figures.task_shares(dataset).items()},
     }
 
 
 def summary(dataset: PlayDataset) -> Summary:
-    """See beso.envs.reporting.Report. Shares: of all tasks done in the play, by task."""
-    return {"statistics": statistics(dataset), "shares": figures.task_shares(dataset)}
+    """See beso.envs.reporting.Report. Shares: of all tasks done in the play, by task; none of unlabelled play."""
+    return {"statistics": statistics(dataset), "shares": figures.task_shares(dataset) if dataset.labelled else {}}
 
 
 def drawings(play: Summary, episodes: Episodes) -> list[Drawing]:
     """The paper's two figures of CALVIN, from our numbers; and what the play has."""
     by_task = {name: figures.by_task(rows) for name, rows in episodes.items()}
+    shares, caption = play["shares"], f"{LABEL}: how often each task is done in the play."
     count = next(iter(by_task.values())).columns.drop(figures.MEAN).size
     return [
         Drawing(
@@ -48,7 +51,7 @@ def drawings(play: Summary, episodes: Episodes) -> list[Drawing]:
             f"{LABEL}: success in each of {count} single tasks, and their mean.",
             figures.bars(by_task, "success"),
         ),
-        Drawing("calvin_play", f"{LABEL}: how often each task is done in the play.", figures.play(play["shares"])),
+        *([Drawing("calvin_play", caption, figures.play(shares))] if shares else []),
     ]
 
 

@@ -10,9 +10,8 @@ N demonstrations padded to T steps:
 Each array may be a .npy or a .pth file of that stem.
 """
 
+import math
 from pathlib import Path
-
-import numpy as np
 
 from beso.data.play import Episode, PlayDataset, assemble
 from beso.envs import published
@@ -25,6 +24,8 @@ FILES = {
     "masks": "multimodal_push_masks",
     "tasks": "onehot_goals",
 }
+# Metres and radians; an action is at most what the environment's action space allows.
+LARGEST = {"observations": 2 * math.pi, "actions": 0.1 + 1e-6}
 WIDTHS = {"observations": SPEC.observation_size, "actions": SPEC.action_size, "tasks": len(SPEC.tasks)}
 
 
@@ -33,16 +34,14 @@ def load(folder: Path) -> PlayDataset:
 
     Raises:
         UserError: a file is missing or damaged, shapes do not fit together, a mask is not a run of ones followed by
-            zeros, or a value is not finite.
+            zeros, or a demonstration is not one of block push (beso.envs.published.check).
     """
     arrays, paths = published.padded(folder, FILES, WIDTHS, LONGEST, ("demonstrations", "steps"))
-    episodes = [
-        Episode(
-            arrays["observations"][i, :length].astype(np.float32),
-            arrays["actions"][i, :length].astype(np.float32),
-            published.first_entries(arrays["tasks"][i, :length]),
-        )
-        for i, length in enumerate(published.lengths(arrays["masks"], paths["masks"]))
-    ]
+    episodes = []
+    for i, length in enumerate(published.lengths(arrays["masks"], paths["masks"])):
+        observations, actions, tasks = (arrays[name][i, :length] for name in ("observations", "actions", "tasks"))
+        where = f"{folder}: demonstration {i}"
+        published.check((observations, actions, tasks), SPEC, LARGEST, where, may_fail=bool(length == LONGEST))
+        episodes.append(Episode(observations, actions, published.first_entries(tasks)))
     meta = {"source": "published block push", "files": {path.name: sha256(path) for path in paths.values()}}
     return assemble(episodes, SPEC, meta)

@@ -8,9 +8,8 @@ This is the contents of the folder `training` or `validation` of a data set of g
 """
 
 import itertools
+import math
 import re
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -22,10 +21,12 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from beso.data.store import read_npy, write_npy
+from beso.checks import numbers
+from beso.data.store import read_npy, read_npz, write_npy
 from beso.envs.calvin.demonstrations.raw import BATCH, RawPlay, writing
 from beso.envs.calvin.simulator import tasks
 from beso.envs.calvin.simulator.observations import ACTION_SIZE, ROBOT_SIZE, SCENE_SIZE
+from beso.envs.published import within
 from beso.errors import UserError
 from beso.files import replacing
 
@@ -35,7 +36,12 @@ STATE_SIZES: Final = {
     "rel_actions": ACTION_SIZE,
     "actions": ACTION_SIZE,
 }
+# Metres and radians; relative actions are in units of the largest step.
+LARGEST: Final = {"robot_obs": 4 * math.pi, "scene_obs": 4 * math.pi, "rel_actions": 1.0 + 1e-6, "actions": 4 * math.pi}
 FRAME_KEY: Final = "rgb_static"
+LARGEST_FRAME: Final = 3 * 4096**2  # bytes
+SCENE_INFO: Final = "scene_info.npy"
+SCENE: Final = "D"  # the one that is simulated here
 DIGITS: Final = 7
 
 
@@ -60,7 +66,12 @@ def layout(folder: Path) -> Layout:
     """
     index = folder / "ep_start_end_ids.npy"
     if not index.is_file():
-        raise UserError(f"{index} is missing; the folder must be `training` or `validation` of a CALVIN data set")
+        hint = "the folder must be `training` or `validation` of a CALVIN data set"
+        if folder.name in ("training", "validation"):
+            hint = f"{folder} must hold a CALVIN data set's list of episodes, and its frames episode_*.npz"
+        raise UserError(f"{index} is missing; {hint}")
+    for scene in sorted(scenes(folder) - {SCENE}):
+        raise UserError(f"{folder / SCENE_INFO} names frames of scene {scene}, expected scene {SCENE} alone")
     bounds = read_npy(index)
     if bounds.ndim != 2 or bounds.shape[1] != 2 or bounds.dtype.kind not in "iu" or len(bounds) == 0:
         raise UserError(f"{index} holds {bounds.dtype} {bounds.shape}, expected whole numbers (episodes, 2)")
@@ -82,6 +93,19 @@ def layout(folder: Path) -> Layout:
     return found
 
 
+def scenes(folder: Path) -> set[str]:
+    """The scenes that a folder's frames are of, as far as it tells: its scene_info.npy is a pickle, read as text."""
+    path = folder / SCENE_INFO
+    found = re.findall(rb"calvin_scene_([A-Z])", path.read_bytes()) if path.is_file() else []
+    return {name.decode() for name in found}
+
+
+def starts(found: Layout) -> dict[bytes, str]:
+    """The files of the episodes' first frames, by what is in them."""
+    first = [found.path(number) for number, _ in found.episodes]
+    return {b"".join(row.tobytes() for row in read_frame(path, None).values()): str(path) for path in first}
+
+
 def read_frame(path: Path, size: int | None) -> dict[str, np.ndarray]:
     """Read what is needed of one frame.
 
@@ -92,19 +116,13 @@ def read_frame(path: Path, size: int | None) -> dict[str, np.ndarray]:
     Raises:
         UserError: the file is truncated, a key is missing, or an array has another shape.
     """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            found = {key: archive[key] for key in (FRAME_KEY, *STATE_SIZES)}
-    except KeyError as error:
-        raise UserError(f"{path} has no array of this name: {error.args[0]}") from None
-    except (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
-        raise UserError(f"{path} is truncated or is not an .npz file ({error})") from None
+    found = read_npz(path, (FRAME_KEY, *STATE_SIZES), LARGEST_FRAME)
     for key, width in STATE_SIZES.items():
-        if found[key].shape != (width,) or not np.isfinite(found[key]).all():
-            raise UserError(f"{path}: {key} has shape {found[key].shape}, expected {width} finite numbers")
+        what = f"{path}: {key}"
+        within(what, numbers(what, found[key], (width,)), LARGEST[key])
     frame = found.pop(FRAME_KEY)
-    if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
-        raise UserError(f"{path}: {FRAME_KEY} is {frame.dtype} {frame.shape}, expected uint8 (height, width, 3)")
+    if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3 or frame.shape[0] != frame.shape[1]:
+        raise UserError(f"{path}: {FRAME_KEY} is {frame.dtype} {frame.shape}, expected uint8 (size, size, 3)")
     if size is not None and frame.shape[:2] != (size, size):
         frame = cv2.resize(frame, (size, size), interpolation=cv2.INTER_AREA)
     return {"frames": frame, **found}

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from beso.envs.calvin.demonstrations import official, raw, scripted
+from beso.errors import UserError
 
 TRAINING, VALIDATION = "training", "validation"  # folders of the published data
 
@@ -24,10 +25,15 @@ def convert(published: Path, folder: Path, size: int, workers: int) -> None:
 
     The episodes of `validation` come last and are held out; meta.json says which those are.
     """
+    if not (published / TRAINING).is_dir():
+        raise UserError(f"{published} has no folder `{TRAINING}`: `folder` must be the one that holds CALVIN's")
     splits = [published / TRAINING]
     if (published / VALIDATION).is_dir():
         splits.append(published / VALIDATION)
     layouts = [official.layout(split) for split in splits]
+    training, *validation = [official.starts(found) for found in layouts]
+    for content in set(training).intersection(*validation) if validation else ():
+        raise UserError(f"{validation[0][content]} starts an episode of {TRAINING} too: it cannot be held out")
     counts = [len(found.episodes) for found in layouts]
     held_out = list(range(counts[0], sum(counts)))
     meta = {"source": "published CALVIN", "held_out_episodes": held_out}

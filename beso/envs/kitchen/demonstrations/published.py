@@ -47,8 +47,8 @@ HDF5 = "main_data.hdf5"
 FRANKA_KITCHEN_WIDTH = 59
 ROBOT, OBJECTS = slice(0, 9), slice(18, 39)  # in observations of FrankaKitchen-v1; the rest are velocities
 
-LARGEST_COORDINATE = 11.0  # rad or m; the widest bound in the robot's and kitchen's configuration is 10.57
-LARGEST_ACTION = 1.0 + 1e-6
+# rad or m: the widest bound in the robot's and kitchen's configuration is 10.57
+LARGEST = {"observations": 11.0, "actions": 1.0 + 1e-6}
 
 
 def load(folder: Path) -> PlayDataset:
@@ -61,28 +61,26 @@ def load(folder: Path) -> PlayDataset:
     for place in (folder, folder / "data"):
         if (place / HDF5).is_file():
             return _load_minari(place)
-    return _load_relay(folder)
+    try:
+        return _load_relay(folder)
+    except published.NothingError:
+        raise UserError(
+            f"{folder} holds no demonstrations: `folder` must hold {', '.join(FILES.values())} (.npy or .pth), or be a "
+            f"Minari dataset of FrankaKitchen-v1 in HDF5 format, with data/{HDF5}"
+        ) from None
 
 
 def _load_relay(folder: Path) -> PlayDataset:
     arrays, paths = published.padded(folder, FILES, WIDTHS, LONGEST, ("steps", "demonstrations"))
-    episodes = [
-        Episode(
-            arrays["observations"][:length, i, : SPEC.observation_size],
-            arrays["actions"][:length, i],
-            _last_entries(arrays["tasks"][:length, i], i, paths["tasks"]),
-        )
-        for i, length in enumerate(published.lengths(arrays["masks"].T, paths["masks"]))
-    ]
-    return _checked(episodes, "published relay kitchen", list(paths.values()))
-
-
-def _last_entries(onehot: np.ndarray, demonstration: int, path: Path) -> np.ndarray:
-    """Keep only the last 1 of each column of (T, 7), and put the columns into the spec's order."""
-    if not np.isin(onehot, (0, 1)).all() or not onehot.any():
-        raise UserError(f"{path}: the tasks of demonstration {demonstration} are not zeros and at least a one")
     columns = [COLUMNS.index(task) for task in SPEC.tasks]
-    return published.first_entries(onehot[::-1, columns])[::-1]
+    episodes = []
+    for i, length in enumerate(published.lengths(arrays["masks"].T, paths["masks"])):
+        observations, actions, tasks = (arrays[name][:length, i] for name in ("observations", "actions", "tasks"))
+        observations = observations[:, : SPEC.observation_size]
+        published.check((observations, actions, tasks), SPEC, LARGEST, f"{folder}: demonstration {i}")
+        # A task is completed at its last 1.
+        episodes.append(Episode(observations, actions, published.first_entries(tasks[::-1, columns])[::-1]))
+    return _assembled(episodes, "published relay kitchen", list(paths.values()))
 
 
 def _load_minari(folder: Path) -> PlayDataset:
@@ -98,7 +96,7 @@ def _load_minari(folder: Path) -> PlayDataset:
     except Exception as error:  # damage shows in many kinds of exception, some with many lines
         raise UserError(f"{path} is damaged or no Minari dataset ({type(error).__name__})") from None
     episodes = list(_minari_episodes(recorded, path))
-    return _checked(episodes, "Minari kitchen", [path, folder / "metadata.json"])
+    return _assembled(episodes, "Minari kitchen", [path, folder / "metadata.json"])
 
 
 def _minari_episodes(recorded: list[Any], path: Path) -> Iterator[Episode]:
@@ -113,18 +111,10 @@ def _minari_episodes(recorded: list[Any], path: Path) -> Iterator[Episode]:
         if episode.actions.shape[1:] != (SPEC.action_size,):
             raise UserError(f"{path}: an action of episode {i} is not {SPEC.action_size} numbers")
         coordinates = np.concatenate([states[:-1, ROBOT], states[:-1, OBJECTS]], axis=1)
-        yield Episode(coordinates, episode.actions, published.first_entries(done(coordinates)))
+        tasks = done(coordinates)
+        published.check((coordinates, episode.actions, tasks), SPEC, LARGEST, f"{path}: demonstration {i}")
+        yield Episode(coordinates, episode.actions, published.first_entries(tasks))
 
 
-def _checked(episodes: list[Episode], source: str, paths: list[Path]) -> PlayDataset:
-    """One dataset; values that are not finite are refused where it is put together, others out of range here."""
-    dataset = assemble(episodes, SPEC, {"source": source, "files": {path.name: sha256(path) for path in paths}})
-    for name, largest in (("observations", LARGEST_COORDINATE), ("actions", LARGEST_ACTION)):
-        worst = np.abs(getattr(dataset, name)).max(axis=1)
-        if worst.max() > largest:
-            step = int(np.argmax(worst > largest))
-            episode = int(np.searchsorted(dataset.episode_ends, step, side="right"))
-            raise UserError(
-                f"{source}: {name} of demonstration {episode} reach {worst[step]:.6g}, expected at most {largest:g}"
-            )
-    return dataset
+def _assembled(episodes: list[Episode], source: str, paths: list[Path]) -> PlayDataset:
+    return assemble(episodes, SPEC, {"source": source, "files": {path.name: sha256(path) for path in paths}})

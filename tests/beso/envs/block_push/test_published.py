@@ -1,6 +1,7 @@
 """Import of files in the published layout: demonstrations first, padded with zeros."""
 
 import pathlib
+import zipfile
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def arrays():
     tasks[:, 1, 2] = tasks[:, 2, 1] = 1
     tasks[0, 4, 2] = 1  # left and entered again: not a first completion
     observations = rng.standard_normal((3, STEPS, 16)) * masks[..., None]
-    actions = rng.standard_normal((3, STEPS, 2)) * masks[..., None]
+    actions = rng.uniform(-0.1, 0.1, (3, STEPS, 2)) * masks[..., None]
     return dict(zip(NAMES, (observations, actions, masks, tasks), strict=True))
 
 
@@ -114,7 +115,7 @@ def test_an_empty_demonstration_is_refused(write, arrays, spec):
 @pytest.mark.parametrize("name", NAMES[:2])
 def test_a_value_that_is_not_finite_is_refused(write, arrays, spec, name):
     arrays[name][1, 2, 0] = np.nan
-    refused("has a value that is not finite .* step 7", write(), spec)  # 5 steps of demonstration 0, then 2
+    refused(rf"demonstration 1: {name[16:]} holds nan at \[2, 0\]: every number must be finite", write(), spec)
 
 
 def test_padding_may_hold_anything(write, arrays, spec):
@@ -165,3 +166,81 @@ def test_an_archive_in_place_of_an_array_is_refused(write, arrays, spec):
     with (folder / f"{NAMES[2]}.npy").open("wb") as file:
         np.savez(file, arrays[NAMES[2]])
     refused(f"{NAMES[2]}.npy", folder, spec)
+
+
+@pytest.mark.parametrize(("name", "factor"), [(NAMES[1], 100), (NAMES[0], 1e30), (NAMES[0], -7)])
+def test_numbers_out_of_range_are_refused(write, arrays, spec, name, factor):
+    arrays[name] = np.where(arrays[name] == 0, 0, np.maximum(np.abs(arrays[name]), 0.01)) * factor
+    if factor == -7:
+        arrays[name] = arrays[name] * 100
+    refused(rf"demonstration \d: {name[16:]} reach .*, expected at most", write(), spec)
+
+
+@pytest.mark.parametrize("value", [0.5, 2.0, -1.0, np.nan])
+def test_labels_that_are_neither_0_nor_1_are_refused(write, arrays, spec, value):
+    arrays[NAMES[3]][2, 1, 2] = value
+    refused("demonstration 2: tasks ", write(), spec)
+
+
+def test_a_demonstration_without_a_completed_task_is_refused_unless_it_ran_into_its_limit(write, arrays, spec):
+    arrays[NAMES[3]][1] = 0
+    refused("demonstration 1: no task is completed", write(), spec)
+    shapes = (3, LONGEST, 16), (3, LONGEST, 2), (3, LONGEST), (3, LONGEST, 4)
+    longest = {name: np.zeros(shape) for name, shape in zip(NAMES, shapes, strict=True)}
+    longest[NAMES[2]] += 1
+    assert load(write(**longest)).lengths.tolist() == [LONGEST] * 3
+
+
+@pytest.mark.parametrize("value", [np.nan, 0.5, 2.0, -1.0])
+def test_masks_that_are_neither_0_nor_1_are_refused(write, arrays, spec, value):
+    arrays[NAMES[2]][1, 7] = value
+    refused("mask of demonstration 1 is not ones followed by zeros", write(), spec)
+
+
+def test_an_array_that_is_there_twice_is_refused(write, arrays, spec):
+    folder = write()
+    torch.save(torch.from_numpy(arrays[NAMES[1]]), folder / f"{NAMES[1]}.pth")
+    refused(f"{NAMES[1]} is there as .npy and as .pth", folder, spec)
+
+
+def test_a_folder_of_something_else_is_told_what_it_must_hold(tmp_path, spec):
+    refused(f"holds no demonstrations: `folder` must hold {NAMES[0]}, ", tmp_path, spec)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        (np.complex128, r"multimodal_push_actions.npy is not a .npy array of numbers: it holds complex128"),
+        (str, r"multimodal_push_actions.npy is not a .npy array of numbers: it holds <U"),
+        (object, r"multimodal_push_actions.npy is truncated or is not a .npy array of numbers$"),
+    ],
+)
+def test_arrays_of_other_than_real_numbers_are_refused(write, arrays, spec, kind, message):
+    refused(message, write(**{NAMES[1]: arrays[NAMES[1]].astype(kind)}), spec)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (torch.Tensor.bfloat16, "holds a tensor of bfloat16, expected plain real numbers"),
+        (torch.Tensor.to_sparse, "holds a tensor of sparse_coo, expected plain real numbers"),
+        (lambda tensor: tensor.to(torch.complex64), "holds a tensor of complex64, expected plain real numbers"),
+        (lambda tensor: torch.zeros(1).expand(10**12), "is damaged: 1000000000000 numbers in"),
+    ],
+)
+def test_tensors_of_another_kind_are_refused(write, arrays, spec, change, message):
+    folder = write()
+    torch.save(change(torch.from_numpy(arrays[NAMES[3]])), folder / "onehot_goals.pth")
+    refused(f"onehot_goals.pth {message}", folder, spec)
+
+
+def test_a_file_that_would_unpack_to_much_more_is_refused_packed(write, spec):
+    folder = write()
+    torch.save(torch.zeros(3, STEPS, 4), folder / "plain.pth")
+    with (
+        zipfile.ZipFile(folder / "plain.pth") as plain,
+        zipfile.ZipFile(folder / "onehot_goals.pth", "w", zipfile.ZIP_DEFLATED) as bomb,
+    ):
+        for name in plain.namelist():
+            bomb.writestr(name, bytes(1 << 26) if name.endswith("/data/0") else plain.read(name))
+    refused(r"onehot_goals.pth is damaged: its \d+ bytes would unpack to 67\d+", folder, spec)

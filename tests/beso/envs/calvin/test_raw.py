@@ -1,9 +1,11 @@
 """Play on disk, in our own form and in CALVIN's."""
 
+import zipfile
+
 import numpy as np
 import pytest
 
-from beso.envs.calvin.demonstrations import official, raw
+from beso.envs.calvin.demonstrations import official, raw, recording
 from beso.envs.calvin.demonstrations.scripted import Step, record
 from beso.errors import UserError
 
@@ -225,8 +227,14 @@ class TestOfficial:
         ("change", "message"),
         [
             ({"robot_obs": None}, "has no array of this name: robot_obs"),
-            ({"scene_obs": np.zeros(23)}, r"scene_obs has shape \(23,\), expected 24 finite numbers"),
-            ({"actions": np.full(7, np.nan)}, "actions has shape .* expected 7 finite numbers"),
+            ({"scene_obs": np.zeros(23)}, r"scene_obs has shape \(23,\), expected \(24,\)"),
+            ({"actions": np.full(7, np.nan)}, r"actions holds nan at \[0\]: every number must be finite"),
+            ({"rel_actions": np.full(7, 50.0)}, "rel_actions reach 50, expected at most 1"),
+            ({"robot_obs": np.full(15, 1e30)}, r"robot_obs reach 1e\+30, expected at most 12"),
+            ({"robot_obs": np.array(["x"] * 15)}, "robot_obs holds <U1"),
+            ({"robot_obs": np.zeros(15, dtype=complex)}, "robot_obs holds complex128"),
+            ({"robot_obs": np.array([None] * 15)}, "robot_obs holds object"),
+            ({"rgb_static": np.zeros((8, 9, 3), np.uint8)}, r"rgb_static is uint8 \(8, 9, 3\), expected uint8 \(size"),
             ({"rgb_static": np.zeros((8, 8))}, r"rgb_static is float64 \(8, 8\)"),
             ({"rgb_static": np.zeros((9, 9, 3), np.uint8)}, r"a frame of shape \(9, 9, 3\), those before have"),
         ],
@@ -238,3 +246,41 @@ class TestOfficial:
         np.savez_compressed(path, **{key: value for key, value in arrays.items() if value is not None})
         with pytest.raises(UserError, match=message):
             convert(calvin, tmp_path / "again")
+
+    def test_a_frame_whose_header_tells_of_more_than_a_picture(self, tmp_path, calvin):
+        path = calvin / "episode_0000123.npz"
+        header = {"descr": "|u1", "fortran_order": False, "shape": (1 << 20, 1 << 20, 3)}
+        with np.load(path) as frame:
+            states = {key: frame[key] for key in STATES if key in frame}
+        np.savez(path, **states)
+        with zipfile.ZipFile(path, "a") as archive, archive.open("rgb_static.npy", "w") as file:
+            np.lib.format.write_array_header_1_0(file, header)
+        with pytest.raises(UserError, match=r"rgb_static holds uint8 .* 50331648 bytes at most"):
+            convert(calvin, tmp_path / "again")
+
+    def test_an_array_under_an_archives_name(self, tmp_path, calvin):
+        path = calvin / "episode_0000123.npz"
+        with path.open("wb") as file:
+            np.save(file, np.zeros(3))
+        with pytest.raises(UserError, match=r"episode_0000123.npz is truncated or is not an .npz file \(BadZipFile\)"):
+            convert(calvin, tmp_path / "again")
+
+    def test_frames_of_another_scene(self, tmp_path, calvin):
+        np.save(calvin / "scene_info.npy", np.array({"calvin_scene_D": [0, 9], "calvin_scene_B": [10, 311]}))
+        with pytest.raises(UserError, match=r"scene_info.npy names frames of scene B, expected scene D alone"):
+            convert(calvin, tmp_path / "again")
+        np.save(calvin / "scene_info.npy", np.array({"calvin_scene_D": [0, 311]}))
+        convert(calvin, tmp_path / "again")
+
+    def test_an_incomplete_split_is_told_what_it_lacks(self, tmp_path, calvin):
+        (calvin / "ep_start_end_ids.npy").unlink()
+        with pytest.raises(UserError, match="training must hold a CALVIN data set's list of episodes"):
+            convert(calvin, tmp_path / "again")
+
+    def test_an_episode_of_both_parts_cannot_be_held_out(self, tmp_path, folder, calvin):
+        root, play = calvin.parent, raw.load(folder)
+        official.export(play, root / "validation")
+        with pytest.raises(UserError, match=r"validation/episode_0000\d+.npz starts an episode of training too"):
+            recording.convert(root, tmp_path / "raw", 8, 1)
+        with pytest.raises(UserError, match="has no folder `training`: `folder` must be the one that holds CALVIN's"):
+            recording.convert(calvin, tmp_path / "raw", 8, 1)

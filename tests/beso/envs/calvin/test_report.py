@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -64,6 +66,15 @@ def test_statistics_of_play():
     assert drawings.play(report.summary(dataset)["shares"]).axes[0].patches[OPEN].get_height() == 0.75
 
 
+def test_of_unlabelled_play_it_is_not_told_what_is_done():
+    tasks = np.zeros((1800, 34), dtype=np.uint8)
+    dataset = PlayDataset(np.zeros((1800, 512)), np.zeros((1800, 7)), tasks, np.array([1800]), {"labelled": False})
+    found = report.statistics(dataset)
+    assert found["hours of play"] == pytest.approx(1 / 60)
+    assert not [name for name in found if "task" in name]
+    assert report.summary(dataset)["shares"] == {}
+
+
 def test_figures_and_tables_have_every_method(rows):
     tasks = np.zeros((40, 34), dtype=np.uint8)
     dataset = PlayDataset(np.zeros((40, 512)), np.zeros((40, 7)), tasks, np.array([20, 40]), {})
@@ -80,4 +91,6 @@ def test_figures_and_tables_have_every_method(rows):
     drawn = report.drawings(report.summary(dataset), episodes)
     assert "in each of 2 single tasks" in drawn[1].caption, "as many as there were"
     assert len({drawing.name for drawing in drawn}) == len(drawn)
+    unlabelled = report.summary(dataclasses.replace(dataset, meta={"labelled": False}))
+    assert [drawing.name for drawing in report.drawings(unlabelled, episodes)] == [d.name for d in drawn[:-1]]
     assert drawn[0].figure.axes[0].get_legend_handles_labels()[1] == ["A", "B"]

@@ -136,19 +136,28 @@ def test_an_empty_demonstration_is_refused(write, arrays):
 @pytest.mark.parametrize("name", NAMES[:2])
 def test_a_value_that_is_not_finite_is_refused(write, arrays, name):
     arrays[name][2, 1, 0] = np.nan
-    refused(r"has a value that is not finite .* step 8", write())  # 6 steps of demonstration 0, then 2
+    refused(rf"demonstration 1: {name[:7]}\w* holds nan at \[2, 0\]: every number must be finite", write())
 
 
 @pytest.mark.parametrize(("name", "value"), [(NAMES[0], 12.0), (NAMES[1], -1.5)])
 def test_a_value_out_of_range_is_refused(write, arrays, name, value):
     arrays[name][0, 1, 4] = value
-    refused(rf"{name[:7]}\w* of demonstration 1 reach {abs(value):g}, expected at most 1", write())
+    refused(rf"demonstration 1: {name[:7]}\w* reach {abs(value):g}, expected at most 1", write())
 
 
-@pytest.mark.parametrize("change", [0.0, 0.5])
-def test_tasks_that_are_not_marked_by_ones_are_refused(write, arrays, change):
+@pytest.mark.parametrize(("change", "message"), [(0.0, "no task is completed"), (0.5, "tasks hold 0.5, expected")])
+def test_tasks_that_are_not_marked_by_ones_are_refused(write, arrays, change, message):
     arrays["onehot_goals"][:, 2] *= change
-    refused("the tasks of demonstration 2 are not zeros and at least a one", write())
+    refused(f"demonstration 2: {message}", write())
+
+
+@pytest.mark.parametrize("name", [None, "data-00000-of-00001.arrow", "demos.hdf5", "data"])
+def test_a_folder_of_something_else_is_told_what_it_must_hold(tmp_path, name):
+    if name:
+        (tmp_path / name).mkdir()
+    refused(
+        "holds no demonstrations: `folder` must hold observations_seq, .* in HDF5 format, with data/main_data", tmp_path
+    )
 
 
 def test_padding_may_hold_anything(write, arrays):
@@ -267,7 +276,7 @@ def test_a_minari_dataset_with_other_actions_is_refused(write_minari):
 def test_a_minari_dataset_with_a_value_that_is_not_finite_is_refused(write_minari):
     broken = [EPISODES[0], EPISODES[1].copy()]
     broken[1][2, 0] = np.nan
-    refused(r"not finite .* step 12", write_minari(broken))
+    refused(r"demonstration 1: observations holds nan at \[2, 0\]: every number", write_minari(broken))
 
 
 def test_a_damaged_minari_dataset_is_refused(write_minari):
