@@ -40,7 +40,7 @@ def microwave(scene: Scene, rng: np.random.Generator, mode: str) -> Iterator[Seg
     """Grip the door's handle and pull it round its hinge."""
     hinge = scene.body("microdoorroot").position
     height, yaw, opening = rng.uniform(0.02, 0.08), rng.uniform(-0.28, -0.12), rng.uniform(0.68, 0.9)
-    handle = Pose(scene.site("microhandle_site"), hand_rotation(yaw)).moved(0, 0, height)
+    handle = Pose(scene.site("microhandle_site"), hand_rotation(yaw)).moved(0.01, 0, height)
 
     def pull() -> Pose:
         ahead = hinge + _turned(scene.site("microhandle_site") - hinge, -0.16)
