@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from beso.checkpoint import LoadedModel
+from beso.core.checkpoint import LoadedModel
 from beso.data.scaling import Scaling
 from beso.data.spec import Sizes
 from beso.errors import UserError
