@@ -82,7 +82,8 @@ def knob(site: str, coordinate: int) -> Movement:
     """The skill of turning one knob, a vertical bar whose upper end goes to the right.
 
     The fingers grip the bar, at its middle or near its upper end, and the hand rolls and goes round with it. Pushing
-    one end with closed fingers fails in half of the attempts with the knob 2 cm off, gripping the lower end as often.
+    one end with closed fingers fails in half of the attempts with the knob 2 cm off; gripping the bottom burner's lower
+    end slips off.
 
     Args:
         site: the knob's marked point.
