@@ -1,6 +1,6 @@
 """Ours beside the paper's: one row a number, with a verdict.
 
-paper.csv has every number of the paper's tables and text. Its columns:
+reports/paper/numbers.csv has every number of the paper's tables and text. Its columns:
 
     place, row, column   where the number stands: a label of places.csv, and the table's own row and column
     environment, goals, metric, method   what was measured; no environment: time, which differs from run to run
@@ -19,12 +19,12 @@ import pandas as pd
 
 from beso import envs
 from beso.errors import UserError
+from pipeline import paths
 from pipeline.params import Params
 from pipeline.recipes import CellPaths, StudyRecipe
 from pipeline.report.statistics import NORMAL, PAIRS, Estimate, of_difference, of_normal, over_seeds
 
-PAPER = Path(__file__).with_name("paper.csv")
-PLACES = Path(__file__).with_name("places.csv")
+PAPER = paths.REPORTS / "paper"
 SMALL = 0.05  # of the largest possible value: differences beyond this matter
 
 NOT_RUN, TIMED = "not run", "timed apart"
@@ -38,7 +38,7 @@ CELL = ["environment", "metric", "method", "goals"]
 def paper_numbers() -> pd.DataFrame:
     """The paper's own numbers in its order; the columns are explained above. What is not given is an empty string."""
     texts = ["place", "row", "column", *CELL, "study", "values"]
-    return pd.read_csv(PAPER, dtype=dict.fromkeys(texts, str)).fillna(dict.fromkeys(texts, ""))
+    return pd.read_csv(PAPER / "numbers.csv", dtype=dict.fromkeys(texts, str)).fillna(dict.fromkeys(texts, ""))
 
 
 def places() -> pd.DataFrame:
@@ -47,7 +47,7 @@ def places() -> pd.DataFrame:
     Columns: label (as in its source), name ("Table I"), title, what the page shows there and of what, and how the names
     of its figures begin.
     """
-    return pd.read_csv(PLACES, dtype=str).fillna("")
+    return pd.read_csv(PAPER / "places.csv", dtype=str).fillna("")
 
 
 def read_rows(path: Path, stage: str) -> pd.DataFrame:
