@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pipeline import paths
 from pipeline.params import load
-from pipeline.report.write import write_tables
+from pipeline.report.gather import write_tables
 
 
 def main() -> None:

@@ -2,9 +2,8 @@
 
 import io
 import itertools
-import math
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from pipeline import paths
 from pipeline.params import Params
 from pipeline.report import studies
 from pipeline.report.comparison import of_cells, rows_of
-from pipeline.report.names import Names
+from pipeline.report.names import words
 
 BLUE, ORANGE, GREEN, _, _, LIGHT_BLUE = METHOD_COLOURS[:6]
 COLOURS = {"ours": BLUE, "held_out": LIGHT_BLUE, "paper": ORANGE}
@@ -65,22 +64,23 @@ def draw_all(params: Params, values: dict[str, Any], folder: Path) -> dict[str, 
 
 def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
     """Every figure, one after another."""
-    names, comparison, root = values["names"], values["comparison"], values["root"]
+    comparison, root = values["comparison"], values["root"]
     caption = (
         "Every number that this run and the paper both have, as a share of the largest possible one; small and hollow:"
         " of studies. On the line, both agree; bars are 95 % intervals of ours, the paper's are standard deviations."
     )
-    yield Drawing("overview", caption, overview(comparison, names))
-    for name, title in names.environments.items():
+    yield Drawing("overview", caption, overview(params, comparison))
+    for name in params.envs:
+        title, played = envs.report(name).LABEL, values["played"][name]
         part = comparison[comparison["environment"] == name]
         beside = " beside the paper's" if of_cells(part)["paper"].notna().any() else ""
         caption = f"{title}: scores{beside}; lines are one standard deviation over seeds."
-        yield Drawing(f"scores_{name}", caption, scores(params, part, names, name))
-        yield from envs.report(name).drawings(values["play"][name], values["episodes"][name])
+        yield Drawing(f"scores_{name}", caption, scores(params, part, name))
+        yield from envs.report(name).drawings(values["play"][name], played)
         caption = f"{title}: held-out loss over its first measurement, a line a seed."
-        yield Drawing(f"training_{name}", caption, training_curves(params, names, name, root))
+        yield Drawing(f"training_{name}", caption, training_curves(params, name, root))
         if name in params.images:
-            if drawn := goals(params, names, name, values["episodes"][name], root):
+            if drawn := goals(params, name, played, root):
                 yield drawn
             data, size = values["sources"][name], params.images[name].preprocess.size
             caption = (
@@ -95,26 +95,28 @@ def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
                 " random weights and from the simulator's state itself; black lines: the best constant answer."
             )
             yield Drawing(f"probe_{name}", caption, probe(pd.read_csv(root / paths.probe(name))))
-    for table in values["studies"]:
+    for table in values["studies"].values():
         caption = f"{table.title}; bars are 95 % intervals, diamonds the paper's numbers where it has them."
-        yield Drawing(f"study_{table.name}", caption, study(table, comparison))
+        yield Drawing(
+            f"study_{table.name}", caption, study(params.studies[table.name].recipe.changes, table, comparison)
+        )
     if params.fork:
         caption = "The fork, a toy: one state with two right actions, and the actions each method draws from it."
-        yield Drawing("fork", caption, fork_samples(names, pd.read_csv(root / paths.FORK)))
+        yield Drawing("fork", caption, fork_samples(params, pd.read_csv(root / paths.FORK)))
 
 
-def overview(comparison: pd.DataFrame, names: Names) -> Figure:
+def overview(params: Params, comparison: pd.DataFrame) -> Figure:
     """Ours over the paper's, as shares of the largest possible value: a panel an environment and metric."""
     both = comparison[comparison["paper"].notna() & comparison["ours"].notna()]
     shown = [
         (environment, metric, part)
-        for environment in names.environments
+        for environment in params.envs
         for metric in envs.report(environment).METRICS
         if len(part := both[(both["environment"] == environment) & (both["metric"] == metric.name)])
     ]
     count = max(1, len(shown))
     figure, grid = panels(count, 0.7, min(4, 8 / min(count, PANELS_A_LINE)))  # squares: fewer are larger
-    styles = dict(zip(names.methods, zip(MARKERS, reversed(METHOD_COLOURS), strict=True), strict=False))
+    styles = dict(zip(params.labels, zip(MARKERS, reversed(METHOD_COLOURS), strict=True), strict=False))
     top = 1.08 + max([0.0, *(part["ours_high"].max() / metric.maximum - 1 for _, metric, part in shown)])
     for axis, (environment, metric, part) in zip(grid, shown, strict=False):
         axis.plot([0, 1], [0, 1], color="0.7", linewidth=1, zorder=0)
@@ -128,67 +130,54 @@ def overview(comparison: pd.DataFrame, names: Names) -> Figure:
                 bars = {"yerr": (y - low, high - y), "xerr": spread.fillna(0)}
                 axis.errorbar(x, y, **bars, marker=marker, color=colour, markeredgecolor="black", **style)
         axis.set(xlim=(-0.08, top), ylim=(-0.08, top), aspect="equal", xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
-        axis.set_title(f"{names.environments[environment]},\n{metric.label}")
+        axis.set_title(f"{envs.report(environment).LABEL},\n{metric.label}")
     drawn = [method for method in styles if method in set(both["method"])]
     look: dict[str, Any] = {"linestyle": "none", "markersize": 5, "markeredgewidth": 0.4, "markeredgecolor": "black"}
     keys = [Line2D([], [], marker=styles[method][0], color=styles[method][1], **look) for method in drawn]
-    figure.legend(keys, [names.methods[method] for method in drawn], loc="outside lower center", ncols=8, frameon=False)
+    figure.legend(keys, [params.labels[method] for method in drawn], loc="outside lower center", ncols=8, frameon=False)
     for axis in grid:
         axis.set_xlabel("paper")
     grid[0].set_ylabel("ours")
     return figure
 
 
-def study(table: studies.Table, comparison: pd.DataFrame) -> Figure:
-    """A study's scores, a panel a column: over what varies in numbers, if any, with a line for the rest."""
-    keys = list(table.rows[0].changes)
-    numeric = [key for key in keys if all(pd.api.types.is_number(row.changes[key]) for row in table.rows)]
-    along = numeric[-1] if numeric else keys[-1]
-    place = keys.index(along)
-    ticks = list(dict.fromkeys(row.labels[place] for row in table.rows))
-    lines: dict[str, list[studies.Row]] = {}
-    for row in table.rows:
-        lines.setdefault(", ".join(label for i, label in enumerate(row.labels) if i != place), []).append(row)
+def study(changes: Sequence[dict[str, Any]], table: studies.Table, comparison: pd.DataFrame) -> Figure:
+    """A study's scores, a panel a column: over what varies in numbers, if any, with a line for the rest.
+
+    Args:
+        changes: what each of its samplings changes.
+    """
+    keys = list(changes[0])
+    numeric = [i for i, key in enumerate(keys) if all(pd.api.types.is_number(change[key]) for change in changes)]
+    along = numeric[-1] if numeric else len(keys) - 1
+    ticks = list(dict.fromkeys(row.labels[along] for row in table.rows))
+    lines: dict[str, list[tuple[studies.Row, str]]] = {}
+    for row, change in zip(table.rows, changes, strict=True):
+        sampling = " ".join(f"{key}={value}" for key, value in change.items())
+        lines.setdefault(", ".join(row.labels[:along] + row.labels[along + 1 :]), []).append((row, sampling))
     sets = len({column.goals for column in table.columns})
     figure = Figure(figsize=(7, 2.7 * sets), layout="constrained")
     axes = figure.subplots(sets, len(table.columns) // sets, sharex=True, squeeze=False).flat
-    theirs = comparison[comparison["study"] == table.name]
+    style = {"marker": "o", "markersize": 3, "linewidth": 1, "elinewidth": 0.8, "capsize": 2}
+    style["linestyle"] = "-" if numeric else "none"
     for axis, (i, column) in zip(axes, enumerate(table.columns), strict=True):
+        wanted = {"study": table.name, "metric": column.metric.name, "goals": column.goals}
+        theirs = rows_of(comparison, wanted).drop_duplicates("values").set_index("values")["paper"]
         for n, ((label, rows), colour) in enumerate(zip(lines.items(), itertools.cycle(METHOD_COLOURS))):
-            shift = 0.5 * (n + 0.5 - len(lines) / 2) / len(lines)
-            x = np.array([ticks.index(row.labels[place]) for row in rows]) + shift
-            found = [row.scores[i].estimate for row in rows]
-            bars = ([e.mean - e.low for e in found], [e.high - e.mean for e in found])
-            style = {"marker": "o", "markersize": 3, "linewidth": 1, "elinewidth": 0.8, "capsize": 2}
-            axis.errorbar(
-                x,
-                [e.mean for e in found],
-                bars,
-                color=colour,
-                label=label,
-                linestyle="-" if numeric else "none",
-                **style,
-            )
-            papers = [_papers(theirs, column, row.changes) for row in rows]
-            axis.plot(
-                x, papers, "D", color=colour if len(lines) > 1 else COLOURS["paper"], fillstyle="none", markersize=4
-            )
+            x = [ticks.index(row.labels[along]) + 0.5 * (n + 0.5 - len(lines) / 2) / len(lines) for row, _ in rows]
+            means, _, low, high = np.array([row.scores[i].estimate for row, _ in rows]).T
+            axis.errorbar(x, means, (means - low, high - means), color=colour, label=label, **style)
+            papers = theirs.reindex([sampling for _, sampling in rows])
+            colour = colour if len(lines) > 1 else COLOURS["paper"]
+            axis.plot(x, papers, "D", color=colour, fillstyle="none", markersize=4)
         axis.set_xticks(range(len(ticks)), ticks, rotation=0 if numeric else 30, ha="center" if numeric else "right")
-        axis.set(title=column.label, xlabel=table.varied[place] if numeric else "", xlim=(-0.5, len(ticks) - 0.5))
+        axis.set(title=column.label, xlabel=table.varied[along] if numeric else "", xlim=(-0.5, len(ticks) - 0.5))
     if len(lines) > 1:
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False)
     return figure
 
 
-def _papers(numbers: pd.DataFrame, column: studies.Column, changes: dict[str, Any]) -> float:
-    """The paper's number for one sampling of a study; NaN if it has none."""
-    wanted = " ".join(f"{key}={value}" for key, value in changes.items())
-    same = (numbers["metric"] == column.metric.name) & (numbers["goals"] == column.goals)
-    found = numbers.loc[same & (numbers["values"] == wanted), "paper"]
-    return float(found.iloc[0]) if len(found) else math.nan
-
-
-def scores(params: Params, comparison: pd.DataFrame, names: Names, environment: str) -> Figure:
+def scores(params: Params, comparison: pd.DataFrame, environment: str) -> Figure:
     """Bars of every metric by method, ours beside the paper's; lines are standard deviations over seeds."""
     metrics, methods = envs.report(environment).METRICS, [cell.method for cell in params.cells_in(environment)]
     comparison = of_cells(comparison)
@@ -197,7 +186,8 @@ def scores(params: Params, comparison: pd.DataFrame, names: Names, environment: 
     axes = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
     colours = dict(zip(goal_sets, (COLOURS["ours"], COLOURS["held_out"]), strict=False))
     bars = [
-        (goals, "ours", "ours_std", f"ours, {names.goals(environment, goals)}", colours[goals]) for goals in colours
+        (goals, "ours", "ours_std", f"ours, {envs.report(environment).GOAL_LABELS[goals]}", colours[goals])
+        for goals in colours
     ]
     if comparison["paper"].notna().any():
         bars.append((goal_sets[0], "paper", "paper_std", "paper", COLOURS["paper"]))
@@ -208,9 +198,9 @@ def scores(params: Params, comparison: pd.DataFrame, names: Names, environment: 
             part = part.set_index("method").reindex(methods)
             offset = (i - (len(bars) - 1) / 2) * width
             axis.bar(places + offset, part[value], width, yerr=part[std], label=label, color=colour, capsize=2)
-        axis.set_xticks(places, [names.methods[m] for m in methods], rotation=30, ha="right")
+        axis.set_xticks(places, [params.labels[m] for m in methods], rotation=30, ha="right")
         axis.set_title(metric.label)
-    axes[0].set_ylabel(names.environments[environment])
+    axes[0].set_ylabel(envs.report(environment).LABEL)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(bars), frameon=False)
     return figure
 
@@ -225,7 +215,7 @@ def samples(path: Path) -> Figure:
     return figure
 
 
-def goals(params: Params, names: Names, environment: str, episodes: Episodes, root: Path) -> Drawing | None:
+def goals(params: Params, environment: str, episodes: Episodes, root: Path) -> Drawing | None:
     """Where an episode of each single task starts, its goal image, and what the filmed methods left, a row an episode.
 
     None where there is no list of single tasks or no method is filmed.
@@ -238,7 +228,7 @@ def goals(params: Params, names: Names, environment: str, episodes: Episodes, ro
     if not filmed or not settings.evaluation.tasks:
         return None
     seed, goal_set, metric = settings.seeds[0], settings.evaluation.goals[0], envs.report(environment).METRICS[0]
-    labels = [names.methods[cell.method] for cell in filmed]
+    labels = [params.labels[cell.method] for cell in filmed]
     wanted = {"seed": seed, "goals": goal_set}
     played = {label: rows_of(episodes[label], wanted).set_index("episode") for label in labels}
     scenes = [read_npy(root / cell.scenes) for cell in filmed]  # each (episodes, 3, H, W, 3)
@@ -262,7 +252,7 @@ def goals(params: Params, names: Names, environment: str, episodes: Episodes, ro
         task = settings.evaluation.tasks[i].replace("_", " ")
         line[0].set_ylabel(textwrap.fill(task, 11), rotation=0, ha="right", va="center")
     caption = (
-        f"{names.environments[environment]}, an episode of each single task: its start, its goal image, and the last"
+        f"{envs.report(environment).LABEL}, an episode of each single task: its start, its goal image, and the last"
         f" picture of the rollouts of {', '.join(labels)} (model seed {seed}); green frames: {metric.label.lower()}."
     )
     return Drawing(f"goals_{environment}", caption, figure)
@@ -297,7 +287,7 @@ def probe(table: pd.DataFrame) -> Figure:
     return figure
 
 
-def fork_samples(names: Names, table: pd.DataFrame) -> Figure:
+def fork_samples(params: Params, table: pd.DataFrame) -> Figure:
     """Actions of the demonstrations and of every method on the fork, a panel each."""
     shown = table["method"].unique()
     figure, grid = panels(len(shown), 0.4, 1.1)
@@ -305,21 +295,21 @@ def fork_samples(names: Names, table: pd.DataFrame) -> Figure:
         part = table[table["method"] == method]
         colour = COLOURS["paper"] if method == "data" else COLOURS["ours"]
         axis.scatter(part["x"], part["y"], s=2, color=colour, linewidths=0)
-        axis.set_title("demonstrations" if method == "data" else names.method(method))
+        axis.set_title("demonstrations" if method == "data" else params.labels.get(method, words(method)))
         axis.set(xlim=(-1.2, 1.2), ylim=(-0.3, 0.9))
     figure.supxlabel("action, first entry")
     figure.supylabel("second entry")
     return figure
 
 
-def training_curves(params: Params, names: Names, environment: str, root: Path) -> Figure:
+def training_curves(params: Params, environment: str, root: Path) -> Figure:
     """Held-out loss over its first measurement against the share of the training, a line a seed."""
     figure = Figure(figsize=(4.7, 2.4), layout="constrained")
     axis = figure.subplots()
     for cell, colour in zip(params.cells_in(environment), itertools.cycle(METHOD_COLOURS)):
         curves = pd.read_csv(root / cell.curve)
         for i, seed in enumerate(cell.train.seeds):
-            label, losses = names.methods[cell.method] if i == 0 else None, curves[f"validation_loss_seed{seed}"]
+            label, losses = params.labels[cell.method] if i == 0 else None, curves[f"validation_loss_seed{seed}"]
             share = curves["step"] / curves["step"].iloc[-1]
             axis.plot(share, losses / losses.iloc[0], color=colour, linewidth=1, label=label)
     axis.set(xlabel="share of the training", ylabel="held-out loss,\nover the first measured")

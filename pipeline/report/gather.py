@@ -1,6 +1,7 @@
-"""Everything that tables and page show, gathered from the cells' results and data."""
+"""Everything that tables and page show, gathered from the cells' results and data; and what `tables` writes of it."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -8,53 +9,78 @@ import pandas as pd
 
 from beso import envs
 from beso.data import play
-from beso.envs.reporting import Report, Summary
-from beso.files import read_json
+from beso.envs.reporting import Summary
+from beso.errors import UserError
+from beso.files import read_json, write_json, write_text
 from pipeline import paths
 from pipeline.params import Params
-from pipeline.report import hyperparameters, studies
-from pipeline.report.comparison import compare, places, read_episodes, source
-from pipeline.report.names import Names
-from pipeline.report.sheets import sheets
-from pipeline.report.tables import main_methods, main_rows, number, significant
+from pipeline.report import figures, hyperparameters, studies, tables
+from pipeline.report.comparison import compare, of_cells, places
 
 SUMMARY = "summary.json"  # what archived runs have of play data
+SOURCES = {"scripted": "scripted demonstrations made here"}  # of play data, in words that can stand in a caption
+
+
+def write_tables(params: Params, root: Path, folder: Path) -> None:
+    """Write LaTeX tables, comparison, metrics and figures into a folder.
+
+    Args:
+        params, root: see `gather`.
+    """
+    values = gather(params, root)
+    values["captions"] = figures.draw_all(params, values, folder / "figures")
+    write_text(folder / "tables.tex", tables.render("tables.tex.j2", values))
+    write_text(folder / "comparison.csv", values["comparison"].to_csv(index=False, float_format="%.6g"))
+    write_json(folder / "metrics.json", metrics(values["comparison"], values["episodes"]))
 
 
 def gather(params: Params, root: Path = Path()) -> dict[str, Any]:
-    """Values for templates and figures: parameters, names, comparison, main table, studies, data and their sources.
+    """Values for templates and figures: parameters, comparison, main table, studies, data and their sources.
 
     Args:
         params: their cells and studies are those that the run has.
         root: the run's folder: the repository, or an archive.
+
+    Raises:
+        UserError: something is missing.
     """
-    summaries = {environment: summary(root, environment) for environment in params.envs}
-    sources = {name: source(of["source"]) for name, of in summaries.items()}
-    comparison, names = compare(params, sources, root), Names(params)
-    episodes = {
-        env: {names.methods[cell.method]: read_episodes(root, cell) for cell in params.cells_in(env)}
-        for env in params.envs
+    summaries = {env: summary(root, env) for env in params.envs}
+    sources = {env: SOURCES.get(str(of["source"]), str(of["source"])) for env, of in summaries.items()}
+    episodes = {name: _rows(root / cell.episodes, f"evaluate@{name}") for name, cell in params.cells.items()}
+    of_studies = {name: _rows(root / study.recipe.rows, f"study@{name}") for name, study in params.studies.items()}
+    played = {
+        env: {params.labels[cell.method]: episodes[cell.name] for cell in params.cells_in(env)} for env in params.envs
     }
+    comparison, hyper = compare(params, episodes, of_studies, sources), hyperparameters.tables(params)
     return {
         "root": root,
         "params": params,
-        "names": names,
-        "number": number,
-        "significant": significant,
+        "report": envs.report,
+        "number": tables.number,
+        "significant": tables.significant,
         "comparison": comparison,
-        "methods": main_methods(params),
-        "rows": main_rows(params, comparison, names),
+        "methods": tables.main_methods(params),
+        "rows": tables.main_rows(params, comparison),
         "places": list(places().itertuples()),
-        "sheets": sheets(comparison, names),
-        "studies": studies.tables(params, root),
-        "students": studies.students(params, root),
+        "sheets": tables.sheets(comparison),
+        "studies": studies.tables(params, of_studies),
+        "students": studies.students(params, episodes),
+        "hyperparameters": hyper,
+        "trains_less": any(table["share"] is not None and table["share"] < 1 for table in hyper),
         "play": summaries,
-        "episodes": episodes,
-        "own_tables": [table for name in params.envs for table in envs.report(name).tables(episodes[name])],
-        "data": {name: beside_published(envs.report(name), of["statistics"]) for name, of in summaries.items()},
         "sources": sources,
-        "trains_less": hyperparameters.trains_less(params),
+        "episodes": episodes,
+        "played": played,
+        "own_tables": [table for env in params.envs for table in envs.report(env).tables(played[env])],
     }
+
+
+def _rows(path: Path, stage: str) -> pd.DataFrame:
+    """Rows that a stage wrote. Raises UserError if they are missing."""
+    if not path.is_file():
+        raise UserError(f"{path} is missing: run `dvc repro {stage}`")
+    # Lists of tasks: a column of single tasks and gaps would be read as decimal numbers.
+    return pd.read_csv(path, dtype={"tasks": str, "goal_tasks": str})
 
 
 def summary(root: Path, environment: str) -> Summary:
@@ -67,7 +93,18 @@ def summary(root: Path, environment: str) -> Summary:
     return json.loads(json.dumps(found))  # as it would be read
 
 
-def beside_published(report: Report, ours: dict[str, float]) -> pd.DataFrame:
-    """Columns `statistic`, `ours`, `published` (missing where not known)."""
-    published = report.PUBLISHED
-    return pd.DataFrame([{"statistic": k, "ours": v, "published": published.get(k)} for k, v in ours.items()])
+def metrics(comparison: pd.DataFrame, episodes: dict[str, pd.DataFrame]) -> dict[str, dict[str, Any]]:
+    """What `dvc metrics show` and `dvc metrics diff` print.
+
+    By environment, method and goal set: every metric's mean and standard deviation over seeds, and mean length.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for row in of_cells(comparison).itertuples():
+        rows = episodes[f"{row.environment}-{row.method}"]
+        length = rows.loc[rows["goals"] == row.goals, "length"].mean()
+        cell = found.setdefault(row.environment, {}).setdefault(row.method, {})
+        scores = cell.setdefault(f"{row.goals}_goals", {"length": round(float(length), 1)})
+        scores[row.metric] = round(row.ours, 4)
+        if not math.isnan(row.ours_std):
+            scores[f"{row.metric}_std"] = round(row.ours_std, 4)
+    return found

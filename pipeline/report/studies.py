@@ -1,13 +1,15 @@
 """Tables of the studies, a row a sampling, and of students and teachers: each with its difference to the first row."""
 
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any, NamedTuple
+
+import pandas as pd
 
 from beso import envs
 from beso.envs.protocol import Metric
 from pipeline.params import Cell, Params
-from pipeline.report.comparison import read_episodes, read_study, rows_of, verdict
-from pipeline.report.names import Names, value, words
+from pipeline.report.comparison import rows_of, verdict
+from pipeline.report.names import value, words
 from pipeline.report.statistics import Estimate, difference, over_seeds
 
 
@@ -34,90 +36,80 @@ class Score(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One sampling: what was changed, the same as text, how often an action calls the network if counted, scores."""
+    """One sampling: as text, what was changed; how often an action calls the network if counted; scores."""
 
-    changes: dict[str, Any]
     labels: list[str]
     calls: int | None
     scores: list[Score]
 
 
 class Table(NamedTuple):
-    """One study: its name and title, what its rows share, its environment, what varies, what it scores, its rows."""
+    """One study: its name and title, what varies, what it scores, its rows."""
 
     name: str
     title: str
-    shared: str
-    environment: str
     varied: list[str]
     columns: list[Column]
     rows: list[Row]
 
 
-def tables(params: Params, root: Path = Path()) -> list[Table]:
-    """One table for each study in a run's folder."""
-    found, names = [], Names(params)
+def tables(params: Params, rows: dict[str, pd.DataFrame]) -> dict[str, Table]:
+    """One table for each study, by its name, from the studies' rows."""
+    found = {}
     for name, study in params.studies.items():
-        episodes = read_study(root, study.recipe)
-        env, sets = study.cell.env, study.recipe.evaluation.goals
-        columns = [
-            Column(_label(metric, goals, env, sets, names), metric, goals)
-            for goals in sets
-            for metric in envs.report(env).METRICS
-        ]
-        parts = [(changes, rows_of(episodes, changes)) for changes in study.recipe.changes]
-        rows = [
-            Row(
-                changes,
-                [value(v) for v in changes.values()],
-                int(part["calls"].iloc[0]),
-                [_score(part, parts[0][1], column) for column in columns],
-            )
-            for changes, part in parts
-        ]
+        cell, recipe = study.cell, study.recipe
+        title = (
+            f"{words(name.removesuffix(f'_{cell.env}'))}: {params.labels[cell.method]} in {envs.report(cell.env).LABEL}"
+        )
+        parts = [([value(v) for v in changes.values()], rows_of(rows[name], changes)) for changes in recipe.changes]
         varied = [words(key) for key in study.vary]
-        shared = "models, starts and noise"
-        found.append(Table(name, names.study(name, study.cell), shared, env, varied, columns, rows))
+        found[name] = _table(name, title, varied, cell.env, recipe.evaluation.goals, parts)
     return found
 
 
-def students(params: Params, root: Path = Path()) -> list[Table]:
-    """One table for each teacher: itself, then the policies that learned from it, over the first goal set."""
-    names, taught = Names(params), dict[str, list[Cell]]()
+def students(params: Params, episodes: dict[str, pd.DataFrame]) -> list[Table]:
+    """One table for each teacher, from the cells' rows: itself, then the policies that learned from it."""
+    taught: dict[str, list[Cell]] = {}
     for cell in params.cells.values():
-        teacher = params.cells.get(f"{cell.env}-{cell.train.teacher}")
-        if teacher:  # an archive may lack it
+        if teacher := params.cells.get(f"{cell.env}-{cell.train.teacher}"):  # an archive may lack it
             taught.setdefault(teacher.name, [teacher]).append(cell)
     found = []
-    for teacher, *_ in taught.values():
-        environment, policies = teacher.env, taught[teacher.name]
-        goals = teacher.evaluate.evaluation.goals[0]
-        columns = [Column(metric.label, metric, goals) for metric in envs.report(environment).METRICS]
-        parts = [read_episodes(root, policy) for policy in policies]
-        rows = [
-            Row(
-                {"policy": policy.method},
-                [names.method(policy.method)],
-                None,
-                [_score(part, parts[0], c) for c in columns],
-            )
-            for policy, part in zip(policies, parts, strict=True)
-        ]
-        title = f"{names.method(teacher.method)} and its students in {names.environment(environment)}"
-        name = f"students_{environment}_{teacher.method}"
-        found.append(Table(name, title, "starts and noise", environment, ["Policy"], columns, rows))
+    for policies in taught.values():
+        teacher = policies[0]
+        title = f"{params.labels[teacher.method]} and its students in {envs.report(teacher.env).LABEL}"
+        parts = [([params.labels[policy.method]], episodes[policy.name]) for policy in policies]
+        goals = teacher.evaluate.evaluation.goals[:1]
+        found.append(_table(f"students_{teacher.env}_{teacher.method}", title, ["Policy"], teacher.env, goals, parts))
     return found
 
 
-def _label(metric: Metric, goals: str, environment: str, sets: tuple[str, ...], names: Names) -> str:
-    return f"{metric.label}, {names.goals(environment, goals)}" if len(sets) > 1 else metric.label
+def _table(
+    name: str,
+    title: str,
+    varied: list[str],
+    env: str,
+    goal_sets: Sequence[str],
+    parts: list[tuple[list[str], pd.DataFrame]],
+) -> Table:
+    room = envs.report(env)
+    columns = [
+        Column(metric.label + (f", {room.GOAL_LABELS[goals]}" if len(goal_sets) > 1 else ""), metric, goals)
+        for goals in goal_sets
+        for metric in room.METRICS
+    ]
+    rows = [
+        Row(
+            labels,
+            int(part["calls"].iloc[0]) if "calls" in part else None,
+            [_score(part, parts[0][1], column) for column in columns],
+        )
+        for labels, part in parts
+    ]
+    return Table(name, title, varied, columns, rows)
 
 
 def _score(rows: Any, first: Any, column: Column) -> Score:
-    alone, of_first = rows is first, first[first["goals"] == column.goals]
-    rows = rows[rows["goals"] == column.goals]
-    estimate = over_seeds(rows, column.metric)
-    if alone:
-        return Score(estimate, None, "")
-    change = difference(rows, of_first, column.metric)
-    return Score(estimate, change, verdict(change.low, change.high, column.metric.maximum) if change else "")
+    same, (rows, first) = rows is first, (part[part["goals"] == column.goals] for part in (rows, first))
+    change = None if same else difference(rows, first, column.metric)
+    told = verdict(change.low, change.high, column.metric.maximum) if change else ""
+    return Score(over_seeds(rows, column.metric), change, told)

@@ -1,4 +1,4 @@
-"""LaTeX tables from comparison and data, through jinja2 templates."""
+"""The paper's tables, rows by columns, with ours beside the paper's; and text from jinja2 templates."""
 
 import math
 from pathlib import Path
@@ -9,26 +9,30 @@ import pandas as pd
 
 from beso import envs
 from pipeline.params import Params
-from pipeline.report.comparison import CELL, of_cells
-from pipeline.report.names import Names
+from pipeline.report.comparison import CELL, NOT_RUN
 
 TEMPLATES = Path("reports/templates")
+LATEX: dict[str, Any] = {
+    "block_start_string": r"\BLOCK{",
+    "block_end_string": "}",
+    "variable_start_string": r"\VAR{",
+    "variable_end_string": "}",
+    "comment_start_string": r"\#{",
+    "comment_end_string": "}",
+}
 
 
 def render(template: str, values: dict[str, Any]) -> str:
-    """The LaTeX text of a template, whose marks are \\VAR{...} and \\BLOCK{...}."""
+    """The text of a template. Marks of LaTeX templates are \\VAR{...} and \\BLOCK{...}."""
+    latex = template.endswith(".tex.j2")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
-        block_start_string=r"\BLOCK{",
-        block_end_string="}",
-        variable_start_string=r"\VAR{",
-        variable_end_string="}",
-        comment_start_string=r"\#{",
-        comment_end_string="}",
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
+        autoescape=not latex,
+        keep_trailing_newline=latex,
+        **(LATEX if latex else {}),
     )
     return environment.get_template(template).render(values)
 
@@ -39,41 +43,76 @@ def main_methods(params: Params) -> list[str]:
     return [method for method in params.labels if method in run]
 
 
-def main_rows(params: Params, comparison: pd.DataFrame, names: Names) -> list[dict[str, Any]]:
+def main_rows(params: Params, comparison: pd.DataFrame) -> list[dict[str, Any]]:
     """Rows of the main table: environment, metric, whose numbers, and a cell `mean (+- std)` a method.
 
     The paper's numbers stand there also for cells that this run does not have.
     """
-    rows, ours = [], of_cells(comparison)
-    theirs = comparison[comparison["study"].isna() & comparison["paper"].notna()]
-    for environment in params.envs:
-        goal_sets = params.environments[environment].evaluation.goals
-        for metric in envs.report(environment).METRICS:
-            for whose in [*goal_sets, "paper"]:
-                numbers, name = (theirs, "paper") if whose == "paper" else (ours, "ours")
-                goals = goal_sets[0] if whose == "paper" else whose
-                cells = []
-                for method in main_methods(params):
-                    wanted = dict(zip(CELL, (environment, metric.name, method, goals), strict=True))
-                    row = numbers[(numbers[CELL] == pd.Series(wanted)).all(axis=1)]
-                    cells.append(tuple(row[[name, f"{name}_std"]].iloc[0]) if len(row) else (math.nan, math.nan))
-                rows.append(
-                    {
-                        "environment": names.environments[environment],
-                        "metric": metric.label,
-                        "whose": "paper" if whose == "paper" else f"ours, {names.goals(environment, whose)}",
-                        "first": whose == goal_sets[0],
-                        "cells": cells,
-                    }
-                )
+    numbers = comparison[comparison["study"].isna()].drop_duplicates(CELL).set_index(CELL)
+    rows = []
+    for env in params.envs:
+        goal_sets, room = params.environments[env].evaluation.goals, envs.report(env)
+        lines = [(goals, "ours", f"ours, {room.GOAL_LABELS[goals]}") for goals in goal_sets]
+        for metric in room.METRICS:
+            for goals, of, whose in [*lines, (goal_sets[0], "paper", "paper")]:
+                keys = [(env, metric.name, method, goals) for method in main_methods(params)]
+                cells = numbers.reindex(keys)[[of, f"{of}_std"]].to_numpy(dtype=float).tolist()
+                row = {"environment": room.LABEL, "metric": metric.label, "whose": whose, "cells": cells}
+                rows.append(row | {"first": whose == lines[0][2]})
     return rows
+
+
+def sheets(comparison: pd.DataFrame) -> dict[str, dict[str, Any]]:
+    """By the paper's name, each table that has numbers, as the paper has it.
+
+    `columns` are heads; `lines` a head and a row of the comparison a column (None where the table has no number), with
+    a line for each of our other goal sets; `studies` and `environments` what ours are of; `missing` heads of the rows
+    of which this run has nothing, `wanted` the cells and studies that those are of.
+    """
+    found = {}
+    for name, part in comparison.groupby("place", sort=False):
+        columns, lines = part["column"].unique(), []
+        for head, of_row in part.groupby("row", sort=False):
+            cells = {row.column: row for row in of_row.itertuples()}
+            line = [cells.get(column) for column in columns]
+            lines += [(head, line), *_other_goals(head, line, of_row, comparison[comparison["place"].isna()])]
+        ran = part[part["ours"].notna()]
+        missing = part[part.groupby("row")["verdict"].transform(lambda verdicts: (verdicts == NOT_RUN).all())]
+        found[name] = {
+            "columns": columns.tolist(),
+            "lines": lines,
+            "studies": ran["study"].dropna().unique().tolist(),
+            "environments": ran["environment"].dropna().unique().tolist(),
+            "missing": missing["row"].unique().tolist(),
+            "wanted": missing["study"]
+            .fillna(missing["environment"] + "-" + missing["method"])
+            .str.split("|")
+            .explode(),
+        }
+    return found
+
+
+def _other_goals(head: str, line: list[Any], of_row: pd.DataFrame, others: pd.DataFrame) -> list[tuple[str, list[Any]]]:
+    """The same line for each goal set that the paper does not have, where its columns are methods."""
+    measured = ["environment", "metric"]
+    if of_row["study"].notna().any() or len(of_row[measured].drop_duplicates()) > 1:
+        return []
+    lines = []
+    for (environment, goals), part in others.merge(of_row[measured].drop_duplicates()).groupby(
+        ["environment", "goals"], sort=False
+    ):
+        cells = {row.method: row for row in part.itertuples()}
+        shown = [cells.get(cell.method) if cell else None for cell in line]
+        if any(shown):  # not of a variant alone
+            lines.append((f"{head}, {envs.report(environment).GOAL_LABELS[goals]}", shown))
+    return lines
 
 
 def number(value: float | None, decimals: int = 2) -> str:
     """A score for a table; a dash where there is none."""
     if value is None or math.isnan(value):
         return "--"
-    return f"{round(value, decimals) + 0.0:.{decimals}f}"  # + 0.0: no minus before a zero
+    return f"{value:z.{decimals}f}"  # z: no minus before a zero
 
 
 def significant(value: float | None, digits: int = 4) -> str:

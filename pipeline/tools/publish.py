@@ -33,9 +33,8 @@ from beso.evaluation import trials
 from beso.files import read_json, replacing, sha256, write_json, write_text
 from pipeline import paths
 from pipeline.params import PATH, Params, load
-from pipeline.report.gather import SUMMARY, summary
+from pipeline.report.gather import SUMMARY, summary, write_tables
 from pipeline.report.page import versions
-from pipeline.report.write import write_tables
 from pipeline.run import plan
 from pipeline.tools.archive import Part, check, held, parts, restricted
 

@@ -12,7 +12,6 @@ from pipeline import play as playing
 from pipeline import profile
 from pipeline.machine import Machine
 from pipeline.report import figures
-from pipeline.report.names import Names
 from stages import evaluate
 from stages.evaluate import evaluate_cell
 
@@ -73,10 +72,9 @@ def test_without_a_list_of_tasks_none_is_kept(smoke):
 
 
 def draw(smoke):
-    names = Names(smoke)
     cells = [cell for cell in smoke.cells.values() if cell.evaluate.film]
-    episodes = {names.methods[cell.method]: pd.read_csv(cell.episodes) for cell in cells}
-    return figures.goals(smoke, names, "calvin", episodes, Path())
+    episodes = {smoke.labels[cell.method]: pd.read_csv(cell.episodes) for cell in cells}
+    return figures.goals(smoke, "calvin", episodes, Path())
 
 
 def test_goals_stand_beside_what_the_filmed_methods_left(smoke, tmp_path):

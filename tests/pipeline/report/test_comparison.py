@@ -5,7 +5,6 @@ import pytest
 
 from pipeline import profile
 from pipeline.report.comparison import verdict
-from pipeline.report.names import Names
 from pipeline.report.tables import main_methods, main_rows, number, significant
 
 
@@ -67,7 +66,7 @@ def test_the_main_table_has_the_papers_number_beside_a_cell_that_was_not_run():
         columns=columns,
     )
     assert main_methods(params) == ["gcbc", "lmp", "c_beso"], "in the parameters' order"
-    rows = main_rows(params, comparison, Names(params))
+    rows = main_rows(params, comparison)
     (ours, theirs) = [
         [mean for mean, _ in row["cells"]]
         for row in rows

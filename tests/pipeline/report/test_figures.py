@@ -4,14 +4,12 @@ import pytest
 
 from pipeline import profile
 from pipeline.report.figures import STYLE, overview
-from pipeline.report.names import Names
 
-NAMES = Names(profile.load("smoke"))
 COLUMNS = ["environment", "metric", "method", "study", "ours", "ours_low", "ours_high", "paper", "paper_std"]
 
 
 def drawn(*rows):
-    return overview(pd.DataFrame(rows, columns=COLUMNS), NAMES)
+    return overview(profile.load("smoke"), pd.DataFrame(rows, columns=COLUMNS))
 
 
 def test_the_overview_has_a_panel_a_metric_and_the_methods_that_have_numbers():

@@ -1,4 +1,4 @@
-"""paper.csv and places.csv against the paper's own text."""
+"""reports/paper/numbers.csv and places.csv against the paper's own text."""
 
 import re
 from pathlib import Path
