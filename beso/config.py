@@ -14,6 +14,15 @@ from beso.errors import UserError
 Config = TypeVar("Config")
 
 
+LONGEST = 80  # characters of a wrong value that an error shows
+
+
+def shown(value: Any) -> str:
+    """A value as an error shows it."""
+    text = repr(value)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+
+
 def build(cls: type[Config], values: Any, where: str) -> Config:
     """Make a frozen dataclass from a mapping.
 
@@ -28,12 +37,13 @@ def build(cls: type[Config], values: Any, where: str) -> Config:
         UserError: unknown key, missing key, wrong type, or a value the dataclass refuses.
     """
     if not isinstance(values, Mapping):
-        raise UserError(f"{where} = {values!r}: expected a mapping")
+        raise UserError(f"{where} = {shown(values)}: expected a mapping")
     hints = get_type_hints(cls)
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for key in values:
         if key not in fields:
-            raise UserError(f"{where}.{key} = {values[key]!r}: unknown key; allowed are {', '.join(fields) or 'none'}")
+            allowed = ", ".join(fields) or "none"
+            raise UserError(f"{where}.{key} = {shown(values[key])}: unknown key; allowed are {allowed}")
     missing = [name for name, f in fields.items() if name not in values and f.default is dataclasses.MISSING]
     if missing:
         raise UserError(f"{where}.{missing[0]} is missing: expected {_describe(hints[missing[0]])}")
@@ -67,7 +77,7 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         return value
     if hint in (str, bool) and isinstance(value, hint):
         return value
-    raise UserError(f"{where} = {value!r}: expected {_describe(hint)}")
+    raise UserError(f"{where} = {shown(value)}: expected {_describe(hint)}")
 
 
 def _describe(hint: Any) -> str:
@@ -92,7 +102,7 @@ def require(condition: bool, message: str) -> None:
 def require_name(config: Any, attribute: str, known: Mapping[str, Any]) -> None:
     """Raise ValueError unless this attribute is one of the names in a registry."""
     value = getattr(config, attribute)
-    require(value in known, f"{attribute} = {value!r}: must be one of {', '.join(known)}")
+    require(value in known, f"{attribute} = {shown(value)}: must be one of {', '.join(known)}")
 
 
 def require_positive(config: Any, *names: str) -> None:

@@ -108,7 +108,7 @@ class Policy:
         Raises:
             UserError: files are missing or damaged, or `sampling` is not one for this method.
         """
-        folder, chosen = Path(folder), pick_device(device)
+        folder, chosen = Path(folder).expanduser(), pick_device(device)
         name = checkpoint.load_description(folder, seed)["job"]["method"]
         kind = methods.sampling(name)
         if sampling is None:

@@ -5,7 +5,7 @@ repository's root, from wherever in it was called; paths mean what they mean the
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,38 +49,40 @@ class Group(click.Group):
         return list(self.commands)
 
 
-class At(click.ParamType):
-    """A path, seen from the root, as defaults are. With `maybe`, what is no path that exists stays as it is."""
-
-    name = "path"
-
-    def __init__(self, maybe: bool = False) -> None:
-        self.maybe = maybe
+class At(click.Path):
+    """A path, seen from the root, as defaults are."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Called by click for what was given, and for the default."""
-        if isinstance(value, Path):
-            return value
         path = Path(value).expanduser()
-        if self.maybe and not path.exists():
-            return value
-        seen = path if path.is_absolute() else Path(os.path.relpath(path, find_root() or "."))
-        return str(seen) if self.maybe else seen
+        if isinstance(value, Path) or path.is_absolute():
+            return path
+        return Path(os.path.relpath(path, find_root() or "."))
 
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-        """Called by click for the shell."""
-        return click.Path().shell_complete(ctx, param, incomplete)
+
+class Run(At):
+    """A folder, or something else that stays as it is: a git revision."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Called by click for what was given."""
+        return str(super().convert(value, param, ctx)) if Path(value).expanduser().exists() else value
+
+
+def path(name: str, default: str | None, text: str) -> Callable[[Any], Any]:
+    """An option that is a path."""
+    return click.option(
+        name, type=At(), default=default and Path(default), show_default=default not in (None, "."), help=text
+    )
+
+
+def seeds(text: str) -> Callable[[Any], Any]:
+    """An option that is several seeds."""
+    text += "; repeat it for several. Default: all."
+    return click.option("--seed", "seeds", type=int, multiple=True, help=text)
 
 
 CELL = click.argument("cell")
-CELLS = click.argument("cells", nargs=-1, metavar="[CELL]...")
-MODELS = click.option(
-    "--models",
-    type=At(),
-    default=Path("models"),
-    show_default=True,
-    help="Folder of a run's models, or of `beso train`'s.",
-)
+MODELS = path("--models", "models", "Folder of a run's models, or of `beso train`'s.")
 
 
 @click.group(cls=Group, context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]})
@@ -131,12 +133,10 @@ def check() -> None:
 
 
 @cli.command()
-@CELLS
-@click.option("--seed", "seeds", type=int, multiple=True, help="Of params.yaml; repeat it for several. Default: all.")
+@click.argument("cells", nargs=-1, metavar="[CELL]...")
+@seeds("Of params.yaml")
 @click.option("--hours", type=float, default=float("inf"), help="Stop then; the same command continues.")
-@click.option(
-    "--out", type=At(), default=Path("trained"), show_default=True, help="Folder of models, states and curves."
-)
+@path("--out", "trained", "Folder of models, states and curves.")
 def train(cells: Sequence[str], seeds: Sequence[int], hours: float, out: Path) -> None:
     """Train cells into a folder, without DVC or a simulator.
 
@@ -150,8 +150,8 @@ def train(cells: Sequence[str], seeds: Sequence[int], hours: float, out: Path) -
 @cli.command()
 @CELL
 @MODELS
-@click.option("--seed", "seeds", type=int, multiple=True, help="Trained model; repeat it for several. Default: all.")
-@click.option("--rows", type=At(), help="File for the episodes, a row each (CSV).")
+@seeds("Trained model")
+@path("--rows", None, "File for the episodes, a row each (CSV).")
 def evaluate(cell: str, models: Path, seeds: Sequence[int], rows: Path | None) -> None:
     """Play the evaluation's episodes and print means.
 
@@ -167,18 +167,18 @@ def evaluate(cell: str, models: Path, seeds: Sequence[int], rows: Path | None) -
 @MODELS
 @click.option("--seed", type=int, default=1, show_default=True, help="The trained model.")
 @click.option("--episode", type=click.IntRange(min=0), default=0, show_default=True, help="Its number.")
-@click.option("--run", type=At(), default=Path(), help="A run's folder, like reports/published/cpu. Default: this one.")
-@click.option("--film", type=At(), default="watch.webm", show_default=True, help="File to write.")
+@path("--run", ".", "A run's folder, like reports/published/cpu. Default: this one.")
+@path("--film", "watch.webm", "File to write.")
 def watch(cell: str, models: Path, seed: int, episode: int, run: Path, film: Path) -> None:
     """Film an episode of the evaluation: same start, goal and noise."""
-    from pipeline.tools.watch import watch
+    from pipeline.tools.evaluate import watch
 
     watch(cell, seed, episode, models, run, film)
 
 
 @cli.command()
-@click.argument("a", type=At(maybe=True))
-@click.argument("b", type=At(maybe=True))
+@click.argument("a", type=Run())
+@click.argument("b", type=Run())
 @click.option("--markdown", is_flag=True, help="Print a Markdown table.")
 def compare(a: str, b: str, markdown: bool) -> None:
     """Whether run B's results differ from run A's by more than chance.
@@ -219,7 +219,10 @@ def import_(folder: Path) -> None:
 
 @cli.command()
 def lock() -> None:
-    """Write the versions of this environment's packages to constraints/, which `make setup` installs."""
+    """Write the versions of installed packages to constraints/.
+
+    `make setup` installs these versions.
+    """
     from pipeline.tools.lock import main
 
     main()

@@ -1,4 +1,4 @@
-"""Independent jobs on a Ray cluster, with the results and the errors of the worker pool (pipeline.pool).
+"""Independent jobs on a Ray cluster (see pipeline.pool).
 
 All nodes need the working tree and the scratch folder at the same path. A job whose worker or node dies runs again;
 training then continues from its saved state.
@@ -9,11 +9,10 @@ import os
 import pickle
 import platform
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator
 from typing import Any, TypeVar
 
 import torch
-from tqdm import tqdm
 
 from beso.errors import UserError
 from pipeline.machine import Machine
@@ -31,26 +30,28 @@ SETTINGS = {  # Ray's environment variables
 
 
 def cores(machine: Machine) -> int:
-    """Number of processors of the cluster as it is now. Raises UserError as `map_jobs` does."""
-    return int(_connect(machine).cluster_resources().get("CPU", 0))
+    """Number of processors of the cluster as it is now, at least one. Raises UserError as `results` does."""
+    count = int(_connect(machine).cluster_resources().get("CPU", 0))
+    if count < 1:
+        raise UserError(f"machine.yaml: ray_address = {machine.ray_address}: the Ray cluster has no processors")
+    return count
 
 
-def map_jobs(
-    function: Callable[..., Result], jobs: Iterable[tuple[Any, ...]], machine: Machine, description: str = ""
-) -> Iterator[Result]:
+def results(
+    function: Callable[..., Result], jobs: list[tuple[Any, ...]], machine: Machine, description: str
+) -> Generator[Result, None, None]:
     """Yield `function(*job)` for each job, in order, from up to `machine.workers` workers (0: all of the cluster's).
 
-    `function` must be importable. A worker is one processor and one torch thread. An exception in a job is raised here
-    and ends the others, as does leaving the loop.
+    A worker is one processor.
 
     Raises:
-        UserError: Ray is not installed, there is no cluster, a node lacks the working tree, or a job's workers died.
+        UserError: Ray is not installed, there is no cluster, it has no processors, a node lacks the working tree, or a
+            job's workers died.
     """
     # Pickled here, so that a worker looks for the working tree before it imports anything of it.
     calls = [pickle.dumps((function, job)) for job in jobs]
-    if not calls:
-        return
     ray = _connect(machine)
+    cores(machine)  # without any, jobs would wait for ever
     root, modules, most = os.getcwd(), list(sys.path), machine.workers or len(calls)
 
     def work(
@@ -67,21 +68,19 @@ def map_jobs(
     remote = ray.remote(num_cpus=1, max_retries=RETRIES)(work).options(name=description or "job")
     running: dict[Any, int] = {}
     finished: dict[int, Result] = {}
-    with tqdm(total=len(calls), desc=description, disable=None, file=sys.stderr) as progress:
-        try:
-            started = 0
-            for number in range(len(calls)):
-                while number not in finished:
-                    while started < len(calls) and len(running) < most:
-                        running[remote.remote(calls[started])] = started
-                        started += 1
-                    (ready,), _ = ray.wait(list(running))
-                    finished[running.pop(ready)] = _result(ray, ready, root)
-                    progress.update()
-                yield finished.pop(number)
-        finally:
-            if running:  # disconnecting ends them; ray.cancel kills this process where a job just ends (Ray 2.60)
-                ray.shutdown()
+    try:
+        started = 0
+        for number in range(len(calls)):
+            while number not in finished:
+                while started < len(calls) and len(running) < most:
+                    running[remote.remote(calls[started])] = started
+                    started += 1
+                (ready,), _ = ray.wait(list(running))
+                finished[running.pop(ready)] = _result(ray, ready, root)
+            yield finished.pop(number)
+    finally:
+        if running:  # disconnecting ends them; ray.cancel kills this process where a job just ends (Ray 2.60)
+            ray.shutdown()
 
 
 def run_pickled(call: bytes) -> bytes:

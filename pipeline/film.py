@@ -10,7 +10,7 @@ from beso.errors import CannotDrawError
 from beso.evaluation.config import Chunk
 from beso.evaluation.rollout import EvaluationJob, Row, evaluate
 from beso.files import replacing, write_json
-from pipeline.pool import map_jobs
+from pipeline.pool import HERE, map_jobs
 
 FRAMES_PER_SECOND = 20  # about twice the environments' actions a second
 TRACK_NUMBER = b"\x73\xc5\x88"  # Matroska's TrackUID, an integer of 8 bytes
@@ -28,8 +28,7 @@ def film_cell(job: EvaluationJob | None, target: Path) -> None:
             write_json(folder / "rollout.json", {"no_film": "params.yaml does not ask for one"})
             return
         try:
-            # One worker is this process with a single thread.
-            (row,) = map_jobs(film_episode, [(job, folder / "rollout.webm")], 1)
+            (row,) = map_jobs(film_episode, [(job, folder / "rollout.webm")], HERE)
         except CannotDrawError as error:
             print(f"no film: {error}")
             row = {"no_film": str(error)}

@@ -1,13 +1,28 @@
 """What the machine offers: settings that are no parameters of results, in machine.yaml, which git ignores."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from beso.config import build, require, require_positive
+from beso.errors import UserError
 from pipeline.yaml import read_yaml
 
 PATH = Path("machine.yaml")
+
+
+def available_workers() -> int:
+    """Number of processors this process may use: the environment variable BESO_WORKERS, or all it can run on.
+
+    Raises:
+        UserError: the variable is no positive number.
+    """
+    if share := os.environ.get("BESO_WORKERS"):  # of a stage that runs beside others (`beso run`)
+        if not (share.isdecimal() and int(share) > 0):
+            raise UserError(f"BESO_WORKERS = {share}: must be a number of workers, at least 1")
+        return int(share)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)

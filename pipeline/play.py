@@ -8,8 +8,8 @@ import numpy as np
 from beso.envs.protocol import Outcome
 from beso.evaluation.config import Chunk, chunks
 from beso.evaluation.rollout import EvaluationJob, Row, evaluate
-from pipeline.engine import map_jobs, workers
 from pipeline.machine import Machine
+from pipeline.pool import map_jobs, workers
 from pipeline.recipes import EvaluateRecipe
 
 
@@ -59,7 +59,11 @@ def play_all(
         seen |= seen_there
         for n, rows in enumerate(found):
             by_chunk[i, first + n * shares] = [{**labels[i], **row} for row in rows] if labels else rows
-    return [row for key in sorted(by_chunk) for row in by_chunk[key]], [seen[number] for number in sorted(seen)]
+    rows = [row for key in sorted(by_chunk) for row in by_chunk[key]]
+    wanted = sum(chunk.last - chunk.first for job in jobs for chunk in chunks(job.config))
+    if len(rows) != wanted:
+        raise RuntimeError(f"{description}: {len(rows)} of {wanted} episodes were played")
+    return rows, [seen[number] for number in sorted(seen)]
 
 
 def _play(job: EvaluationJob, share: Sequence[Chunk], scenes: int) -> tuple[list[list[Row]], dict[int, np.ndarray]]:

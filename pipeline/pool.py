@@ -1,7 +1,7 @@
-"""A pool of worker processes for independent jobs, one torch thread each.
+"""Independent jobs, one torch thread each: in processes on this machine or on a Ray cluster, as machine.yaml says.
 
-Results come back in the order of the jobs, whatever the number of workers: every job takes its randomness from its own
-arguments, so the number of workers never changes a number.
+Results come back in the order of the jobs and are the same bytes, whatever runs them: every job takes its randomness
+from its own arguments.
 """
 
 import multiprocessing
@@ -9,68 +9,80 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from typing import Any, TypeVar
 
 import torch
 from tqdm import tqdm
 
 from beso.errors import UserError
+from pipeline import cluster
+from pipeline.machine import Machine, available_workers
 from pipeline.stage import log_to_stderr
 
 Result = TypeVar("Result")
 
+HERE = Machine(workers=1)  # this process, with a single thread
 
-def available_workers() -> int:
-    """Number of processors this process may use: the environment variable BESO_WORKERS, or all it can run on."""
-    if share := os.environ.get("BESO_WORKERS"):  # of a stage that runs beside others (`beso run`)
-        return int(share)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+def workers(machine: Machine) -> int:
+    """How many jobs run at a time, at most. Raises UserError as `map_jobs` does."""
+    return machine.workers or (cluster.cores(machine) if machine.engine == "ray" else available_workers())
 
 
 def map_jobs(
-    function: Callable[..., Result], jobs: Iterable[tuple[Any, ...]], workers: int, description: str = ""
+    function: Callable[..., Result], jobs: Iterable[tuple[Any, ...]], machine: Machine, description: str = ""
 ) -> Iterator[Result]:
-    """Yield `function(*job)` for each job, in order, from `workers` processes (0: one a processor).
+    """Yield `function(*job)` for each job, in order.
 
-    `function` must be importable. An exception in a job is raised here and ends the other workers. One worker means
-    this process, so that a debugger can follow.
+    `function` must be importable. An exception in a job is raised here and ends the other workers, as does leaving the
+    loop. One worker on this machine is this process, so that a debugger can follow.
 
     Raises:
-        UserError: a worker process was killed.
+        UserError: a worker was killed, BESO_WORKERS is no number of workers, or as `cluster.results` does.
     """
     jobs = list(jobs)
-    workers = min(workers or available_workers(), len(jobs))
-    progress = tqdm(total=len(jobs), desc=description, disable=None, file=sys.stderr)
-    with progress:
-        if workers <= 1:
-            threads = torch.get_num_threads()
-            torch.set_num_threads(1)
-            try:
-                for job in jobs:
-                    yield function(*job)
-                    progress.update()
-            finally:
-                torch.set_num_threads(threads)
-            return
-        # Spawned, not forked: PyBullet and torch keep threads and locks that a fork would copy half-way.
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker) as executor:
-            try:
-                for result in executor.map(function, *zip(*jobs, strict=True)):
-                    yield result
-                    progress.update()
-            except BrokenProcessPool:
-                raise UserError(
-                    "a worker process was killed, perhaps for lack of memory; nothing was replaced"
-                ) from None
-            except BaseException:
-                executor.shutdown(wait=False, cancel_futures=True)
-                for worker in multiprocessing.active_children():
-                    worker.terminate()
-                raise
+    if not jobs:
+        return
+    if machine.engine == "ray":
+        results = cluster.results(function, jobs, machine, description)
+    else:
+        count = min(workers(machine), len(jobs))
+        results = _in_processes(function, jobs, count) if count > 1 else _here(function, jobs)
+    with closing(results), tqdm(total=len(jobs), desc=description, disable=None, file=sys.stderr) as progress:
+        for result in results:
+            yield result
+            progress.update()
+
+
+def _here(function: Callable[..., Result], jobs: list[tuple[Any, ...]]) -> Generator[Result, None, None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        for job in jobs:
+            yield function(*job)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _in_processes(
+    function: Callable[..., Result], jobs: list[tuple[Any, ...]], count: int
+) -> Generator[Result, None, None]:
+    # Spawned, not forked: PyBullet and torch keep threads and locks that a fork would copy half-way.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker) as executor:
+        try:
+            yield from executor.map(function, *zip(*jobs, strict=True))
+        except BrokenProcessPool:
+            raise UserError("a worker process was killed, perhaps for lack of memory; nothing was replaced") from None
+        except BaseException:
+            executor.shutdown(wait=False, cancel_futures=True)
+            for worker in multiprocessing.active_children():
+                worker.terminate()
+            raise
 
 
 def _end_with_parent() -> None:

@@ -9,7 +9,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,8 +21,10 @@ from tqdm import tqdm
 
 from beso.errors import UserError
 from pipeline import paths
+from pipeline.machine import available_workers
 
 LOGS = paths.SCRATCH / "logs"
+INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 LAST_LINES = 12  # of the output of a stage that failed
 REPRODUCE = (sys.executable, "-m", "dvc", "--wait-for-lock", "repro", "--single-item")
 
@@ -108,6 +111,20 @@ class Child:
         return "\n    ".join([f"{self.name} failed after {self.time()}; the end of {self.log}:", *last])
 
 
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Let signals that come meanwhile act at the end, so that no stage starts or ends unnoticed."""
+    came: list[int] = []
+    handlers = {number: signal.signal(number, lambda number, _: came.append(number)) for number in INTERRUPTS}
+    try:
+        yield
+    finally:
+        for which, handler in handlers.items():
+            signal.signal(which, handler)
+        for number in came:
+            signal.raise_signal(number)
+
+
 def _minutes(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes}:{rest:02d}"
@@ -133,29 +150,30 @@ def execute(steps: dict[str, Step], jobs: int, cores: int) -> tuple[list[str], l
 
         try:
             while True:
-                for child in [c for c in running if c.ended()]:
-                    running.remove(child)
-                    if child.process.returncode == 0:
-                        done.add(child.name)
-                        progress.update()
-                        tell(f"{child.name} done in {child.time()}, {_minutes(child.processor)} of processor")
-                    else:
-                        failed.append(child.name)
-                        tell(child.failure(), lasting=True)
-                can_run = [name for name, step in waiting.items() if step.waits_for <= done]
-                ready = [name for name in can_run if not steps[name].alone][: jobs - len(running)]
-                if any(steps[child.name].alone for child in running):
-                    ready = []
-                elif not running and not ready:
-                    ready = can_run[:1]
-                workers = max(1, cores // max(1, len(running) + len(ready)))
-                for name in ready:
-                    del waiting[name]
-                    running.append(Child(name, workers))
-                    tell(f"{name} started")
-                if not running:
-                    return failed, list(waiting)
-                progress.set_description_str(", ".join(f"{c.name} {c.time()}" for c in running))
+                with _uninterrupted():
+                    for child in [c for c in running if c.ended()]:
+                        running.remove(child)
+                        if child.process.returncode == 0:
+                            done.add(child.name)
+                            progress.update()
+                            tell(f"{child.name} done in {child.time()}, {_minutes(child.processor)} of processor")
+                        else:
+                            failed.append(child.name)
+                            tell(child.failure(), lasting=True)
+                    can_run = [name for name, step in waiting.items() if step.waits_for <= done]
+                    ready = [name for name in can_run if not steps[name].alone][: jobs - len(running)]
+                    if any(steps[child.name].alone for child in running):
+                        ready = []
+                    elif not running and not ready:
+                        ready = can_run[:1]
+                    workers = max(1, cores // max(1, len(running) + len(ready)))
+                    for name in ready:
+                        del waiting[name]
+                        running.append(Child(name, workers))
+                        tell(f"{name} started")
+                    if not running:
+                        return failed, list(waiting)
+                    progress.set_description_str(", ".join(f"{c.name} {c.time()}" for c in running))
                 time.sleep(0.1)
         finally:
             for child in running:
@@ -174,8 +192,6 @@ def run(targets: Sequence[str], jobs: int) -> None:
     if not todo:
         print("everything is up to date")
         return
-    from pipeline.pool import available_workers  # imports torch; a run with nothing to do need not wait for that
-
     for number in (signal.SIGTERM, signal.SIGHUP):  # in their own sessions the stages would go on
         if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores the second
             signal.signal(number, signal.default_int_handler)

@@ -13,9 +13,8 @@ from pathlib import Path
 from beso import envs
 from beso.data import play
 from pipeline import paths, recipes, scratch
-from pipeline.engine import map_jobs
-from pipeline.machine import Machine
-from pipeline.pool import available_workers
+from pipeline.machine import Machine, available_workers
+from pipeline.pool import map_jobs
 from pipeline.recipes import EnvironmentRecipe
 from pipeline.settings import Collect
 
@@ -33,7 +32,7 @@ def collect_play(recipe: EnvironmentRecipe, machine: Machine) -> None:
     """Write a play dataset."""
     settings, spec = recipe.settings, envs.spec(recipe.env)
     if settings.source == "published":
-        dataset = envs.importer(recipe.env)(Path(settings.folder or ""))
+        dataset = envs.importer(recipe.env)(Path(settings.folder or "").expanduser())
     else:
         jobs = [(recipe.seed, i) for i in range(settings.demonstrations)]
         episodes = list(map_jobs(envs.recorder(recipe.env), jobs, machine, f"collect {recipe.env}"))
@@ -53,7 +52,7 @@ def collect_raw(recipe: EnvironmentRecipe, machine: Machine) -> None:
     size, length, target = settings.camera.size, settings.camera.length, paths.raw(recipe.env)
     if settings.source == "published":
         workers = machine.workers or available_workers()
-        room.convert(Path(settings.folder or ""), target, size, workers)
+        room.convert(Path(settings.folder or "").expanduser(), target, size, workers)
         return
     waiting = scratch.folder("collect", recipe.env, dataclasses.asdict(settings), recipe.seed)
     parts: list[Path] = []

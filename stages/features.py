@@ -22,9 +22,9 @@ from beso.images import frames, probe
 from beso.images.frames import PackedPlay
 from beso.images.pretraining import pretrain
 from beso.images.weights import read_weights
-from pipeline import paths, pool, recipes, scratch
-from pipeline.engine import map_jobs
+from pipeline import paths, recipes, scratch
 from pipeline.machine import Machine
+from pipeline.pool import HERE, map_jobs
 from pipeline.recipes import EnvironmentRecipe
 from pipeline.settings import Features
 
@@ -48,7 +48,7 @@ def make_features(recipe: EnvironmentRecipe, machine: Machine) -> None:
     waiting = scratch.folder("features", dataclasses.asdict(settings), recipe.seed, packed.meta["sha256"], device)
     waiting.mkdir(parents=True, exist_ok=True)
     # One worker is this process with a single thread: more threads would add up in another order.
-    for _ in pool.map_jobs(make_encoder, [(settings, folder, recipe.seed, machine, waiting)], 1):
+    for _ in map_jobs(make_encoder, [(settings, folder, recipe.seed, machine, waiting)], HERE):
         pass
     features = encode_all(waiting, folder, machine, waiting / "features.npy")
     observations, meta = features, _meta(packed)

@@ -17,8 +17,8 @@ from beso.data.windows import Batch
 from beso.files import write_text
 from beso.training import optimizers
 from pipeline import paths, recipes
-from pipeline.engine import map_jobs
 from pipeline.machine import Machine
+from pipeline.pool import map_jobs
 from pipeline.recipes import ForkMethod, ForkRecipe
 
 SIZES = Sizes(observation=2, action=2, goal_window=1)

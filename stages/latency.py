@@ -37,8 +37,7 @@ def measure(recipe: LatencyRecipe) -> pd.DataFrame:
     """
     paper = profile.load(profile.COMPLETE)
     jobs = [(recipe, paper.cells[name]) for name in recipe.cells if name in paper.cells]
-    # One worker is this process with a single thread.
-    return pd.DataFrame([row for rows in pool.map_jobs(time_cell, jobs, 1, "latency") for row in rows])
+    return pd.DataFrame([row for rows in pool.map_jobs(time_cell, jobs, pool.HERE, "latency") for row in rows])
 
 
 def time_cell(recipe: LatencyRecipe, cell: Cell) -> list[dict[str, Any]]:

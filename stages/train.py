@@ -17,8 +17,8 @@ from beso.errors import UserError
 from beso.files import replacing, sha256, write_text
 from beso.training.loop import Training, side_by_side
 from pipeline import recipes, scratch
-from pipeline.engine import map_jobs
 from pipeline.machine import Machine
+from pipeline.pool import map_jobs
 from pipeline.recipes import TrainRecipe
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from beso.envs.protocol import Trial, TrialRequest
 from beso.evaluation import trials
 from beso.evaluation.config import chunks
 from pipeline import paths, recipes
-from pipeline.engine import map_jobs
 from pipeline.machine import Machine
+from pipeline.pool import map_jobs
 from pipeline.recipes import EnvironmentRecipe
 from pipeline.settings import Trials
 

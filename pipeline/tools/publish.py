@@ -17,9 +17,8 @@ the first ones, and of weights those of the first seed where `--weights METHOD` 
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import safetensors.torch
 import torch
@@ -60,44 +59,27 @@ def choose(available: dict[str, Part], names: Sequence[str]) -> list[Part]:
     return [p for p in wanted.values() if p.stage not in stale]
 
 
-def drop(part: Part, folder: Path) -> None:
-    """Take a part out of an archive's folder."""
-    (folder / part.rows).unlink(missing_ok=True)
-    (folder / part.record).unlink(missing_ok=True)
-    if part.cell and part.is_cell:
-        shutil.rmtree(folder / part.cell.models, ignore_errors=True)
-        (folder / part.cell.curve).unlink(missing_ok=True)
-        (folder / part.cell.scenes).unlink(missing_ok=True)
+def files(part: Part) -> list[Path]:
+    """What an archive takes of a part of a run, beside a record and weights."""
+    if part.cell is None or not part.is_cell:
+        return [part.rows]
+    cell = part.cell
+    scenes = [cell.scenes] if cell.evaluate.film and cell.evaluate.evaluation.tasks else []
+    return [part.rows, cell.curve, *scenes, *(checkpoint.paths(cell.models, seed)[1] for seed in cell.train.seeds)]
 
 
-def add(part: Part, folder: Path, record: dict[str, Any], with_weights: bool) -> None:
-    """Copy a finished part into an archive's folder, in place of what it has of it."""
-    drop(part, folder)
-    _copy(part.rows, folder)
-    if part.cell and part.is_cell:
-        cell, seeds = part.cell, part.cell.train.seeds
-        _copy(cell.curve, folder)
-        if cell.evaluate.film and cell.evaluate.evaluation.tasks:
-            _copy(cell.scenes, folder)
-        for seed in seeds:
-            _copy(checkpoint.paths(cell.models, seed)[1], folder)
-        if with_weights:
-            weights = checkpoint.paths(cell.models, seeds[0])[0]
-            halve(weights, folder / weights)
-    write_json(folder / part.record, record)
+def weights(part: Part) -> list[Path]:
+    """What an archive can keep of a part's weights: those of a cell's first seed."""
+    return [checkpoint.paths(part.cell.models, part.cell.train.seeds[0])[0]] if part.cell and part.is_cell else []
 
 
-def drop_environment(environment: str, folder: Path) -> None:
-    """Take what the cells of an environment share out of an archive's folder."""
-    for path in (paths.play(environment), paths.trials(environment)):
-        shutil.rmtree(folder / path, ignore_errors=True)
-    for path in (paths.samples(environment), paths.probe(environment)):
-        (folder / path).unlink(missing_ok=True)
+def shared(environment: str) -> list[Path]:
+    """Files and folders that the cells of an environment share."""
+    return [part(environment) for part in (paths.play, paths.trials, paths.samples, paths.probe)]
 
 
 def add_environment(params: Params, environment: str, folder: Path) -> None:
-    """Write into an archive's folder what its cells of an environment share."""
-    drop_environment(environment, folder)
+    """Write into an archive's folder what the cells of an environment share."""
     target = folder / paths.play(environment)
     write_text(target / SUMMARY, json.dumps(summary(Path(), environment)) + "\n")
     settings = params.environments[environment]
@@ -105,16 +87,15 @@ def add_environment(params: Params, environment: str, folder: Path) -> None:
     made = trials.load(paths.trials(environment))
     trials.save({first: made[first][: settings.evaluation.chunk]}, folder / paths.trials(environment))
     if environment in params.images:
-        _copy(paths.samples(environment), folder)
-        _copy(paths.probe(environment), folder)
+        _copy([paths.samples(environment), paths.probe(environment)], Path(), folder)
         halve(paths.play(environment) / encoder.WEIGHTS, target / encoder.WEIGHTS)
         description = read_json(paths.play(environment) / encoder.DESCRIPTION)
         write_json(target / encoder.DESCRIPTION, description | {"sha256": sha256(target / encoder.WEIGHTS)})
 
 
-def halve(weights: Path, target: Path) -> None:
+def halve(path: Path, target: Path) -> None:
     """Write weights in half precision, which loading turns back; what half precision cannot hold stays as it is."""
-    tensors = safetensors.torch.load_file(weights)
+    tensors = safetensors.torch.load_file(path)
     halves = {name: value.half() if value.dtype == torch.float32 else value for name, value in tensors.items()}
     kept = {name: half if half.isfinite().all() else tensors[name] for name, half in halves.items()}
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -124,22 +105,28 @@ def halve(weights: Path, target: Path) -> None:
 
 def limit_weights(folder: Path) -> None:
     """Remove weights that are too large for git, or whose encoder is, and say so; and encoders of no policy."""
-    for weights in sorted(folder.glob("models/*/*/*.safetensors")):
-        environment, method = weights.parts[-3:-1]
-        files = (weights, folder / paths.play(environment) / encoder.WEIGHTS)
-        if too_large := [path for path in files if path.is_file() and path.stat().st_size > LARGEST]:
-            name, size = too_large[0].relative_to(folder), too_large[0].stat().st_size
+    for path in sorted(folder.glob("models/*/*/*.safetensors")):
+        environment, method = path.parts[-3:-1]
+        large = [
+            file
+            for file in (path, folder / paths.play(environment) / encoder.WEIGHTS)
+            if file.is_file() and file.stat().st_size > LARGEST
+        ]
+        if large:
+            name, size = large[0].relative_to(folder), large[0].stat().st_size
             print(f"weights of {environment} {method} are left out: {name} has {size:,} bytes, more than {LARGEST:,}")
-            weights.unlink()
-    for weights in folder.glob(f"data/play/*/{encoder.WEIGHTS}"):
-        if not any((folder / "models" / weights.parent.name).glob("*/*.safetensors")):
-            weights.unlink()
+            path.unlink()
+    for path in folder.glob(f"data/play/*/{encoder.WEIGHTS}"):
+        if not any((folder / "models" / path.parent.name).glob("*/*.safetensors")):
+            path.unlink()
 
 
-def _copy(path: Path, folder: Path) -> None:
-    target = folder / path
-    target.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(path, target)
+def _copy(wanted: Iterable[Path], source: Path, folder: Path) -> None:
+    """Copy files and folders from where they are in one folder to the same place in another."""
+    for path in wanted:
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        copy = shutil.copytree if (source / path).is_dir() else shutil.copyfile
+        copy(source / path, folder / path)
 
 
 def write(folder: Path, params: Params, there: list[Part], new: list[Part], weights_of: Sequence[str]) -> None:
@@ -149,30 +136,30 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
         weights_of: methods whose weights are to be kept.
     """
     shown = restricted(params, there)
-    environments = dict.fromkeys(part.env for part in new if part.env)
-    digests = {env: play.data_digest(play.load(paths.play(env), envs.spec(env))) for env in environments}
+    renewed = dict.fromkeys(part.env for part in new if part.env)
+    digests = {env: play.data_digest(play.load(paths.play(env), envs.spec(env))) for env in renewed}
     for part in there:
         if part not in new:
             data = {"data": digests[part.env]} if part.env in digests else {}
             check(part, folder, {"parameters": part.parameters, **data})
     with replacing(folder) as temporary:
-        if folder.is_dir():
-            shutil.copytree(folder, temporary)
-        for part in parts(params).values():
-            if part not in there:
-                drop(part, temporary)
-        for environment in set(params.envs) - set(shown.envs):
-            drop_environment(environment, temporary)
-        for part in new:
+        for part in there:
+            kept = [path for path in weights(part) if (folder / path).is_file()]
+            if part not in new:
+                _copy([*files(part), part.record, *kept], folder, temporary)
+                continue
+            _copy(files(part), Path(), temporary)
             record = {"parameters": part.parameters, "data": digests.get(part.env), "versions": versions()}
-            kept = part.cell and (
-                part.cell.method in weights_of or any((folder / part.cell.models).glob("*.safetensors"))
-            )
-            add(part, temporary, record, bool(kept))
-        for environment in environments:
-            add_environment(params, environment, temporary)
+            write_json(temporary / part.record, record)
+            for path in weights(part) if part.cell and part.cell.method in weights_of else kept:
+                halve(path, temporary / path)
+        for environment in shown.envs:
+            if environment in renewed:
+                add_environment(params, environment, temporary)
+            else:
+                _copy([path for path in shared(environment) if (folder / path).exists()], folder, temporary)
         limit_weights(temporary)
-        _copy(PATH, temporary)
+        _copy([PATH], Path(), temporary)
         write_tables(shown, temporary, temporary)
 
 
@@ -188,12 +175,12 @@ def recover(folder: Path) -> None:
                 shutil.rmtree(path)
 
 
-def publish(names: Sequence[str], weights: Sequence[str], dropped: Sequence[str]) -> None:
+def publish(names: Sequence[str], weights_of: Sequence[str], dropped: Sequence[str]) -> None:
     """Archive what is finished of this run, and say how much.
 
     Args:
         names: stages and environments; none means all that is finished.
-        weights: methods whose weights are to be kept.
+        weights_of: methods whose weights are to be kept.
         dropped: stages and environments to take out; then nothing is added.
 
     Raises:
@@ -201,7 +188,7 @@ def publish(names: Sequence[str], weights: Sequence[str], dropped: Sequence[str]
     """
     params = load()
     available, folder = parts(params), FOLDER / params.profile
-    for method in weights:
+    for method in weights_of:
         if method not in params.labels:
             raise UserError(f"--weights {method}: {PATH} has the methods {', '.join(params.labels)}")
     recover(folder)
@@ -214,5 +201,5 @@ def publish(names: Sequence[str], weights: Sequence[str], dropped: Sequence[str]
     there = [part for part in available.values() if part in new or part in stay]
     if not any(part.is_cell for part in there):
         raise UserError(f"no cell of profile {params.profile} is finished or archived: run `beso run`")
-    write(folder, params, there, new, weights)
+    write(folder, params, there, new, weights_of)
     print(f"{folder}: {len(new)} cells and studies archived, {len(there) - len(new)} stay as they were")

@@ -90,7 +90,7 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
         ]
         try:
             # By the pool, for its one torch thread: the order of sums depends on their number.
-            (done,) = pool.map_jobs(train_seeds, [(recipe, group, machine, folders, until)], 1, cell)
+            (done,) = pool.map_jobs(train_seeds, [(recipe, group, machine, folders, until)], pool.HERE, cell)
         except ModuleNotFoundError as error:
             raise UserError(f"{cell} needs the package {error.name}: install it, or leave this cell out") from None
         for job, folder in zip(group, folders, strict=True):

@@ -126,3 +126,9 @@ def test_a_value_that_the_class_refuses_is_named_with_its_place():
 def test_something_else_than_a_mapping_is_refused(values):
     with pytest.raises(UserError, match="expected a mapping"):
         build(Outer, values, "p")
+
+
+def test_a_long_wrong_value_is_cut():
+    with pytest.raises(UserError) as error:
+        build(Outer, "x" * 10_000, "p")
+    assert str(error.value) == f"p = {repr('x' * 10_000)[:80]}...: expected a mapping"

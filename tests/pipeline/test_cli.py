@@ -55,7 +55,7 @@ def test_mistakes_are_told_in_one_line(tmp_path):
     assert line == f"error: neither {tmp_path} nor a folder above it has dvc.yaml: go to the repository (`cd`)\n"
     assert "No such command 'fly'" in beso(tmp_path, "fly", code=2)
     (tmp_path / "dvc.yaml").touch()
-    assert beso(tmp_path, "check", code=1) == "error: params.yaml is missing\n"
+    assert beso(tmp_path, "check", code=1) == "error: params.yaml is missing: run this in the repository's root\n"
 
 
 def test_any_subfolder_and_the_home_will_do(tmp_path, monkeypatch):
@@ -66,8 +66,8 @@ def test_any_subfolder_and_the_home_will_do(tmp_path, monkeypatch):
     assert cli.find_root() == tmp_path
     assert beso(ROOT / "docs", "check").endswith(", valid\n")
 
-    def seen(value, **keywords):
-        return cli.At(**keywords).convert(value, None, None)
+    def seen(value, kind=cli.At):
+        return kind().convert(value, None, None)
 
     monkeypatch.setenv("HOME", "/at/home")
     assert seen("film.webm") == Path("some/where/film.webm")
@@ -76,8 +76,8 @@ def test_any_subfolder_and_the_home_will_do(tmp_path, monkeypatch):
     monkeypatch.setenv("BESO_SCRATCH", "~/scratch")
     assert scratch.folder("work").parent == Path("/at/home/scratch")
     assert seen(Path("models")) == Path("models"), "a default is the root's"
-    assert seen("HEAD", maybe=True) == "HEAD"
-    assert seen("../where", maybe=True) == "some/where"
+    assert seen("HEAD", cli.Run) == "HEAD"
+    assert seen("../where", cli.Run) == "some/where"
 
 
 def test_a_policy_by_hand_acts_as_the_pipelines(finished, tmp_path):

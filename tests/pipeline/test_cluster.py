@@ -16,7 +16,7 @@ import torch
 
 from beso.errors import UserError
 from beso.files import write_text
-from pipeline import engine, profile
+from pipeline import pool, profile
 from pipeline.machine import Machine
 from stages import resolve
 from stages.collect import collect
@@ -53,14 +53,14 @@ def test_no_cluster_is_one_line(smoke):
     """First of all: later there is one."""
     machine = Machine(device="cpu", engine="ray")
     with pytest.raises(UserError, match=r"^machine.yaml: ray_address = auto: no connection to a Ray cluster .*$"):
-        list(engine.map_jobs(describe, [(None, 0)], machine))
+        list(pool.map_jobs(describe, [(None, 0)], machine))
 
 
 def test_missing_ray_is_one_line(smoke, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     machine = Machine(device="cpu", engine="ray")
     with pytest.raises(UserError, match=r"^machine.yaml: engine = ray: Ray is not installed; pip install .*$"):
-        list(engine.map_jobs(describe, [(None, 0)], machine))
+        list(pool.map_jobs(describe, [(None, 0)], machine))
 
 
 def test_ray_needs_the_device_to_be_named(smoke):
@@ -100,14 +100,14 @@ def kill_second_node(cluster):
 
 
 def test_results_come_in_the_order_of_the_jobs_from_one_thread_each(machine, tmp_path):
-    results = list(engine.map_jobs(describe, [(tmp_path, i) for i in range(6)], machine))
+    results = list(pool.map_jobs(describe, [(tmp_path, i) for i in range(6)], machine))
     assert [array[0] for _, array, _ in results] == list(range(6))
     assert {threads for threads, _, _ in results} == {1}
     pids = {pid for _, _, pid in results}
-    assert len(pids) == engine.workers(machine) == 2
+    assert len(pids) == pool.workers(machine) == 2
     assert os.getpid() not in pids
     assert all(array.flags.writeable for _, array, _ in results), "as from the process pool"
-    assert list(engine.map_jobs(describe, [], machine)) == []
+    assert list(pool.map_jobs(describe, [], machine)) == []
 
 
 def fail(folder, x):
@@ -118,7 +118,7 @@ def fail(folder, x):
 
 def test_a_users_mistake_reaches_the_caller_and_is_not_tried_again(machine, tmp_path):
     with pytest.raises(UserError, match=r"^job 1 is wrong$"):
-        list(engine.map_jobs(fail, [(tmp_path, 0), (tmp_path, 1)], machine))
+        list(pool.map_jobs(fail, [(tmp_path, 0), (tmp_path, 1)], machine))
     time.sleep(0.5)
     assert len(list(tmp_path.glob("1-*"))) == 1
 
@@ -129,7 +129,7 @@ def kill_worker(x):
 
 def test_a_job_that_kills_its_workers_is_an_error_and_no_endless_wait(machine):
     with pytest.raises(UserError, match="Ray gave up a job"):
-        list(engine.map_jobs(kill_worker, [(0,)], machine))
+        list(pool.map_jobs(kill_worker, [(0,)], machine))
 
 
 def move_away():
@@ -142,7 +142,7 @@ def test_a_node_without_the_working_tree_is_told(machine, tmp_path, monkeypatch)
     monkeypatch.chdir(tree)
     one_at_a_time = dataclasses.replace(machine, workers=1)
     with pytest.raises(UserError, match=f"{tree} is missing on node .*: all nodes need the working tree"):
-        list(engine.map_jobs(move_away, [(), ()], one_at_a_time))
+        list(pool.map_jobs(move_away, [(), ()], one_at_a_time))
 
 
 def sleep_with_pid(folder, number):
@@ -151,7 +151,7 @@ def sleep_with_pid(folder, number):
 
 
 def test_leaving_the_loop_ends_the_jobs(machine, tmp_path):
-    results = engine.map_jobs(sleep_with_pid, [(tmp_path, i) for i in range(3)], machine)
+    results = pool.map_jobs(sleep_with_pid, [(tmp_path, i) for i in range(3)], machine)
     next(results)
     wait(lambda: len(list(tmp_path.iterdir())) == 3)
     results.close()
@@ -207,7 +207,7 @@ def test_with_a_node_killed_twice_the_bytes_are_the_process_pools(cluster, machi
     collect(told.collect, machine)
     both = tmp_path / "both"
     both.mkdir()
-    list(engine.map_jobs(describe, [(both, 0), (both, 1)], machine))  # now no seed waits for a worker's start
+    list(pool.map_jobs(describe, [(both, 0), (both, 1)], machine))  # now no seed waits for a worker's start
     thread, errors = in_background(train_cell, told.train, machine)
     wait(lambda: len(list(Path(".scratch").glob("*/state.safetensors"))) == 2)
     kill_second_node(cluster)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from beso.errors import UserError
+from pipeline.machine import Machine
 from pipeline.pool import map_jobs
 
 
@@ -21,7 +22,7 @@ def fail(x):
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_results_come_in_the_order_of_the_jobs_from_one_thread_each(workers):
-    results = list(map_jobs(threads_and_square, [(i,) for i in range(6)], workers))
+    results = list(map_jobs(threads_and_square, [(i,) for i in range(6)], Machine(workers=workers)))
     assert [square for _, square, _ in results] == [0, 1, 4, 9, 16, 25]
     assert {threads for threads, _, _ in results} == {1}
     assert (os.getpid() in {pid for _, _, pid in results}) == (workers == 1)
@@ -30,7 +31,7 @@ def test_results_come_in_the_order_of_the_jobs_from_one_thread_each(workers):
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_error_in_a_job_reaches_the_caller(workers):
     with pytest.raises(UserError, match="job 2 is wrong"):
-        list(map_jobs(fail, [(i,) for i in range(4)], workers))
+        list(map_jobs(fail, [(i,) for i in range(4)], Machine(workers=workers)))
 
 
 def kill_worker(x):
@@ -39,7 +40,7 @@ def kill_worker(x):
 
 def test_a_killed_worker_is_an_error_and_no_endless_wait():
     with pytest.raises(UserError, match="a worker process was killed"):
-        list(map_jobs(kill_worker, [(i,) for i in range(4)], 2))
+        list(map_jobs(kill_worker, [(i,) for i in range(4)], Machine(workers=2)))
 
 
 def wait_long(x):
@@ -48,11 +49,11 @@ def wait_long(x):
 
 def test_an_abandoned_pool_ends_its_workers():
     start = time.monotonic()
-    results = map_jobs(wait_long, [(0,), (1,), (1,)], 2)
+    results = map_jobs(wait_long, [(0,), (1,), (1,)], Machine(workers=2))
     next(results)
     results.close()
     assert time.monotonic() - start < 30
 
 
 def test_no_jobs_give_no_results():
-    assert list(map_jobs(fail, [], 2)) == []
+    assert list(map_jobs(fail, [], Machine(workers=2))) == []

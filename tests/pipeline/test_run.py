@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from pipeline.pool import available_workers
+from beso.errors import UserError
+from pipeline.machine import available_workers
 
 ROOT = Path(__file__).parents[2]
 NAP = 1.5  # seconds; long beside DVC's start, so that stages that may overlap do
@@ -286,3 +287,7 @@ def test_workers_are_the_share_that_the_runner_gives(monkeypatch):
     assert available_workers() == len(os.sched_getaffinity(0))
     monkeypatch.setenv("BESO_WORKERS", "7")
     assert available_workers() == 7
+    for share in ("0", "-3", "many"):
+        monkeypatch.setenv("BESO_WORKERS", share)
+        with pytest.raises(UserError, match=f"^BESO_WORKERS = {share}: must be a number of workers, at least 1$"):
+            available_workers()

@@ -5,12 +5,13 @@ from beso.data import play
 from beso.envs.block_push.demonstrations.scripted import PLANS, BlockPushDemonstrator, record
 from beso.envs.block_push.report import statistics
 from beso.envs.block_push.spec import SPEC
+from pipeline.machine import Machine
 from pipeline.pool import map_jobs
 
 
 @pytest.fixture(scope="module")
 def demonstrations():
-    episodes = list(map_jobs(record, [(0, i) for i in range(200)], 0))
+    episodes = list(map_jobs(record, [(0, i) for i in range(200)], Machine()))
     return play.assemble(episodes, SPEC, {"source": "scripted"})
 
 

@@ -22,6 +22,7 @@ from beso.evaluation.config import Chunk, EvaluationConfig, chunks
 from beso.evaluation.rollout import EvaluationJob, evaluate
 from beso.policy import Policy
 from beso.training.loop import train
+from pipeline.machine import Machine
 from pipeline.pool import map_jobs
 
 IDLE = np.array([0, 0, 0, 0, 0, 0, 1.0])
@@ -153,7 +154,7 @@ def play_workers(job, workers):
     """The rows of a job, played by so many workers."""
     planned = chunks(job.config)
     shares = [planned[k::workers] for k in range(workers)]
-    parts = list(map_jobs(evaluate, [(job, share) for share in shares], workers))
+    parts = list(map_jobs(evaluate, [(job, share) for share in shares], Machine(workers=workers)))
     return sorted((row for part in parts for rows in part for row in rows), key=lambda row: row["episode"])
 
 

@@ -18,6 +18,7 @@ from beso.envs.calvin.spec import SPEC
 from beso.envs.protocol import TrialRequest
 from beso.errors import UserError
 from pipeline import profile
+from pipeline.machine import Machine
 from pipeline.pool import map_jobs
 
 SIZE = 112
@@ -125,7 +126,7 @@ def assert_same(ours, theirs):
 def test_a_trial_depends_on_its_own_name_alone(made, request_for):
     """Neither on the trials made before it, nor on the process."""
     jobs = [(request_for("single_tasks", range(3, 5)),), (request_for("two_tasks", range(1, 2)),)]
-    one, two = map_jobs(trials.make, jobs, 2)
+    one, two = map_jobs(trials.make, jobs, Machine(workers=2))
     for ours, theirs in zip([*one, *two], [*made["single_tasks"][3:5], made["two_tasks"][1]], strict=True):
         assert_same(ours, theirs)
     (other,) = trials.make(request_for("single_tasks", range(3, 4), model_seed=2))
