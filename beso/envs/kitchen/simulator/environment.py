@@ -17,6 +17,7 @@ import gymnasium
 import mujoco
 import numpy as np
 
+from beso.checks import not_copied, numbers
 from beso.envs.kitchen import spec
 from beso.envs.kitchen.simulator.camera import Camera
 from beso.envs.kitchen.simulator.franka_kitchen import franka_kitchen
@@ -44,6 +45,7 @@ class KitchenEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 12}  # noqa: RUF012 (as gymnasium has it)
+    __copy__ = __deepcopy__ = not_copied
 
     def __init__(self, render_mode: str | None = None, render_size: tuple[int, int] = (240, 320)) -> None:
         if render_mode not in (None, "rgb_array"):
@@ -79,12 +81,12 @@ class KitchenEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._tasks = []
         info: dict[str, Any] = {"tasks": ()}
         if options and "goal" in options:
-            info["goal"] = np.array(options["goal"])
+            info["goal"] = np.array(numbers("goal", options["goal"], (None, 30)))
         return self._state(observation), info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Move the joints with velocities `action`, (9,) in units of 2 rad/s, for 0.08 s."""
-        observation, _, _, _, _ = self._kitchen.step(np.asarray(action, dtype=np.float64))
+        observation, _, _, _, _ = self._kitchen.step(numbers("action", action, (9,)).astype(np.float64))
         # Read off here: what the wrapped environment reports is ordered by the hashes of names, which change between
         # processes.
         new = [int(task) for task in np.flatnonzero(self.done()) if task not in self._tasks]

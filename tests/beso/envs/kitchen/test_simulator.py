@@ -1,3 +1,5 @@
+import copy
+
 import gymnasium
 import numpy as np
 import pytest
@@ -206,3 +208,22 @@ def test_unknown_render_mode_and_too_large_pictures_are_refused():
         KitchenEnv(render_mode="human")
     with pytest.raises(UserError, match=r"render_size \(9999, 10\) is not between"):
         KitchenEnv(render_mode="rgb_array", render_size=(9999, 10)).render()
+
+
+@pytest.mark.parametrize("action", [np.full(9, np.nan), np.zeros(8), np.zeros((1, 9)), {"x": 0.0}])
+def test_an_action_that_is_not_nine_finite_numbers_is_refused(env, action):
+    env.reset(seed=0)
+    with pytest.raises(UserError, match=r"^action "):
+        env.step(action)
+
+
+@pytest.mark.parametrize("goal", [np.full((1, 30), np.nan), np.zeros((1, 29)), np.zeros(30), np.zeros((0, 30))])
+def test_a_goal_that_is_not_states_is_refused(env, goal):
+    with pytest.raises(UserError, match=r"^goal "):
+        env.reset(seed=0, options={"goal": goal})
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
+def test_an_environment_is_not_copied(env, copied):
+    with pytest.raises(TypeError, match="a KitchenEnv cannot be copied: make another"):
+        copied(env)
