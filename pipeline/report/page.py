@@ -121,8 +121,9 @@ def _figure(name: str, caption: str) -> Picture:
 
 def _films(params: Params, room: float) -> list[Picture]:
     """The films. Where not all fit into so many bytes, those of every environment's first methods are left out."""
-    chosen = pd.Series([cell for cell in params.cells.values() if cell.evaluate.film], dtype=object)
-    behind = chosen.groupby([cell.env for cell in chosen]).cumcount(ascending=False)  # films of the same environment
+    chosen = [cell for cell in params.cells.values() if cell.evaluate.film]
+    envs_of = pd.Series([cell.env for cell in chosen], dtype=str)
+    behind = envs_of.groupby(envs_of).cumcount(ascending=False)  # how many films of the environment come after
     films = {}
     for i in behind.sort_values(kind="stable").index:
         path: Path = chosen[i].film_folder / "rollout.webm"
@@ -140,7 +141,7 @@ def _films(params: Params, room: float) -> list[Picture]:
                 caption, data = f"{caption}. The page has no room for it: {path}", None
         room -= len(data or "")
         films[i] = Picture(chosen[i].name, caption, data)
-    return [films[i] for i in chosen.index]
+    return [films[i] for i in range(len(chosen))]
 
 
 def _data_url(content: bytes, kind: str) -> str:
