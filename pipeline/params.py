@@ -1,167 +1,22 @@
-"""params.yaml as frozen objects, checked as a whole before any work.
-
-A method's values for one environment are merged from a few blocks, the later ones over the earlier:
-
-    all_methods: all, then the environment's own
-    the method that `like` names, with what that is like
-    the method itself: all, then the environment's own
-
-null in place of a mapping drops it.
-"""
+"""params.yaml as frozen objects, checked as a whole before any work."""
 
 import dataclasses
 import itertools
-import re
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from beso import envs, methods
-from beso.config import build, require, require_positive
+from beso.config import build
 from beso.core.training_config import TrainingConfig, TrainingJob
 from beso.errors import UserError
 from pipeline import paths
+from pipeline.inheritance import Inheritance, Layers, build_merged
 from pipeline.recipes import CellPaths, EvaluateRecipe, StudyRecipe, TrainRecipe
-from pipeline.settings import EnvironmentParams, ImageParams
+from pipeline.settings import CellEntry, EnvironmentParams, File, ForkEntry, ImageParams, Latency, StudyEntry
 from pipeline.yaml import read_yaml
 
 PATH = Path("params.yaml")
-NAME = re.compile("[a-z0-9_]+")  # of environments, methods, studies: dvc.yaml puts them into commands
-SHARED = ("all", "like")  # keys beside those of the environments
-
-Layer = tuple[str, Any]  # a block of params.yaml and its key
-Layers = list[Layer]
-
-
-@dataclass(frozen=True)
-class CellEntry:
-    """One method in one environment, as params.yaml names it.
-
-    Attributes:
-        of: the method's file in beso/methods.
-        source: the folder of the play data; or of the models of another cell, its teacher.
-        film: whether its first episode is filmed.
-    """
-
-    env: str
-    method: str
-    of: str
-    source: str
-    film: bool = False
-
-
-@dataclass(frozen=True)
-class StudyEntry:
-    """A trained cell, sampled in several ways from the same starts and with the same noise.
-
-    Attributes:
-        env, method, of: the cell.
-        rollouts: episodes a seed and goal set, the first of each.
-        vary: values by parameter of the cell's sampling; every combination is played.
-        goals: some of the evaluation's goal sets; null is the first, which is the paper's.
-    """
-
-    env: str
-    method: str
-    of: str
-    rollouts: int
-    vary: dict[str, Any]
-    goals: tuple[str, ...] | None = None
-
-    def __post_init__(self) -> None:
-        require_positive(self, "rollouts")
-        for name, values in self.vary.items():
-            require(
-                isinstance(values, list) and len(values) > 0 and all(v not in values[:i] for i, v in enumerate(values)),
-                f"vary.{name} = {values!r}: must be a list of different values, at least one",
-            )
-        require(len(self.vary) > 0, "vary = {}: must name at least one parameter")
-
-
-@dataclass(frozen=True)
-class MethodEntry:
-    """One method's blocks: by environment, for `all` of them, and the method that it is `like`.
-
-    Attributes:
-        label: the report's name.
-        train, sample: apart, so that a change of sampling never retrains.
-    """
-
-    label: str
-    train: dict[str, Any]
-    sample: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """The blocks that all methods begin with."""
-
-    train: dict[str, Any]
-    sample: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Latency:
-    """How policy calls are timed: medians over `repeats` calls at each batch size."""
-
-    repeats: int
-    batches: tuple[int, ...]
-
-    def __post_init__(self) -> None:
-        require_positive(self, "repeats")
-        require(
-            len(self.batches) > 0 and min(self.batches) > 0,
-            f"batches = {list(self.batches)}: must be positive, at least one",
-        )
-
-
-@dataclass(frozen=True)
-class ForkEntry:
-    """How long every method trains on the fork (see stages.fork), and how many actions are drawn."""
-
-    updates: int
-    samples: int
-
-    def __post_init__(self) -> None:
-        require_positive(self, "updates", "samples")
-
-
-@dataclass(frozen=True)
-class File:
-    """The top of params.yaml."""
-
-    profile: str
-    seed: int
-    all_environments: dict[str, Any]
-    environments: dict[str, Any]
-    images: dict[str, ImageParams]
-    cells: dict[str, CellEntry]
-    all_studies: dict[str, Any]
-    studies: dict[str, Any]
-    latency: Latency
-    fork: ForkEntry
-    all_methods: Blocks
-    methods: dict[str, MethodEntry]
-
-    def __post_init__(self) -> None:
-        require(
-            re.fullmatch("[a-z0-9-]+", self.profile) is not None,
-            f"profile = {self.profile!r}: must be made of lower-case letters, digits and hyphens",
-        )
-        require(self.seed >= 0, f"seed = {self.seed}: must not be negative")
-        require(len(self.cells) > 0, "cells = {}: at least one is needed")
-        for part in ("environments", "methods", "studies"):
-            for name in getattr(self, part):
-                require(
-                    NAME.fullmatch(name) is not None and name not in SHARED,
-                    f"{part}.{name}: a name must be made of lower-case letters, digits and _, and not be all or like",
-                )
-        for name, cell in self.cells.items():
-            require(
-                name == f"{cell.env}-{cell.method}",
-                f"cells.{name}: its name must be env and method with a hyphen between, {cell.env}-{cell.method}",
-            )
 
 
 @dataclass(frozen=True)
@@ -321,90 +176,6 @@ def _single_tasks(env: str, chosen: tuple[str, ...] | None, where: str) -> None:
             raise UserError(f"{where} = {task!r}: {why}; allowed are {', '.join(known)}")
 
 
-class Inheritance:
-    """The methods' blocks, and what a method has in an environment after merging them. See this file's first lines.
-
-    Raises:
-        UserError: a block is of no environment, or `like` names no method or leads in a circle.
-    """
-
-    def __init__(self, file: File, where: str) -> None:
-        self._blocks: Mapping[str, Any] = {"all_methods": file.all_methods, **file.methods}
-        self._where = {name: f"{where}.{name}" for name in file.methods} | {
-            "all_methods": f"{where.removesuffix('methods')}all_methods"
-        }
-        for name, block in self._blocks.items():
-            for part in ("train", "sample"):
-                for column in getattr(block, part):
-                    if column not in (*SHARED, *envs.names()):
-                        allowed = ", ".join((*SHARED, *envs.names()))
-                        raise UserError(f"{self._where[name]}.{part}.{column}: must be one of {allowed}")
-                if name != "all_methods":
-                    self._chain(name, part)
-
-    def _chain(self, method: str, part: str) -> list[str]:
-        """The methods whose blocks are merged, in that order."""
-        chain = [method]
-        while like := getattr(self._blocks[chain[0]], part).get("like"):
-            where = f"{self._where[chain[0]]}.{part}.like = {like!r}"
-            if like not in self._blocks or like == "all_methods":
-                raise UserError(f"{where}: must be one of {', '.join(list(self._blocks)[1:])}")
-            if like in chain:
-                raise UserError(f"{where}: leads in a circle")
-            chain.insert(0, like)
-        return ["all_methods", *chain]
-
-    def layers(self, method: str, part: str, env: str) -> Iterator[Layer]:
-        """The blocks of one method in one environment, the weakest first, with their keys in params.yaml."""
-        for name in self._chain(method, part):
-            for column in ("all", env):
-                block = getattr(self._blocks[name], part).get(column)
-                if block is not None:
-                    yield f"{self._where[name]}.{part}.{column}", block
-
-    def whole(self, cls: Any, method: str, part: str, env: str) -> tuple[Any, Layers]:
-        """A configuration from the merged blocks, and these. Raises UserError as `build_merged`."""
-        layers = list(self.layers(method, part, env))
-        return build_merged(cls, layers, f"{self._where[method]}.{part}.{env}"), layers
-
-
-def build_merged(cls: Any, layers: Layers, place: str, inner: tuple[str, Any] | None = None) -> Any:
-    """A configuration from merged blocks.
-
-    Args:
-        layers: the blocks, each with its key in params.yaml.
-        place: the key where the merged values would stand.
-        inner: a key below that, and its values: only these are built.
-
-    Raises:
-        UserError: a mistake, with the key of the block that has it.
-    """
-    values: Any = {}
-    for key, block in layers:
-        if not isinstance(block, dict):
-            raise UserError(f"{key} = {block!r}: expected a mapping")
-        values = merge(values, block)
-    try:
-        return build(cls, inner[1], f"{place}.{inner[0]}") if inner else build(cls, values, place)
-    except UserError as error:
-        raise UserError(_located(str(error), place, layers)) from None
-
-
-def _located(message: str, place: str, layers: Layers) -> str:
-    """A message about a merged value with the key of the block that gives it."""
-    match = re.match(re.escape(place) + r"((?:\.\w+)*)(: (\w+) = )?", message)
-    if match is None:
-        return message
-    path = [*match[1].split(".")[1:], *([match[3]] if match[3] else [])]
-    for key, block in reversed(layers):
-        inner: Any = block
-        for name in path:
-            inner = inner.get(name, layers) if isinstance(inner, dict) else layers
-        if inner is not layers:
-            return key + message[len(place) :]
-    return message
-
-
 def _cell(entry: CellEntry, environment: EnvironmentParams, inheritance: Inheritance, file: File, where: str) -> Cell:
     """A cell with its recipes."""
     env, method, top = entry.env, entry.method, where.partition(".cells.")[0]
@@ -486,17 +257,3 @@ def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> Stu
         entry.env, entry.method, name, entry.of, cell.evaluate.seeds, tuple(changes), tuple(samplings), evaluation
     )
     return Study(cell, entry.vary, recipe)
-
-
-def merge(base: Any, changes: Any) -> dict[str, Any]:
-    """Nested mappings, those of `changes` over those of `base`; null in place of a mapping drops it."""
-    merged = dict(base or {})
-    for key, value in (changes or {}).items():
-        if isinstance(merged.get(key), dict) and (value is None or isinstance(value, dict)):
-            if value is None:
-                del merged[key]
-            else:
-                merged[key] = merge(merged[key], value)
-        else:
-            merged[key] = value
-    return merged

@@ -1,13 +1,17 @@
-"""What params.yaml says of an environment: its play, its frames, training and evaluation."""
+"""What params.yaml says, part by part: environments, their frames, cells, studies, methods."""
 
+import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from beso.config import require, require_positive
 from beso.core.training_config import ValidationConfig
 from beso.encoders.resnet import check_width
 from beso.evaluation.config import EvaluationConfig
 from beso.images.pretraining import Pretraining
+
+NAME = re.compile("[a-z0-9_]+")  # of environments, methods, studies: dvc.yaml puts them into commands
+SHARED = ("all", "like")  # keys of a method's blocks beside the environments' names
 
 
 @dataclass(frozen=True)
@@ -157,3 +161,133 @@ class EnvironmentParams:
             len(set(self.seeds)) == len(self.seeds) > 0 and min(self.seeds) >= 0,
             f"seeds = {list(self.seeds)}: must be different numbers from 0 upward, at least one",
         )
+
+
+@dataclass(frozen=True)
+class CellEntry:
+    """One method in one environment, as params.yaml names it.
+
+    Attributes:
+        of: the method's file in beso/methods.
+        source: the folder of the play data; or of the models of another cell, its teacher.
+        film: whether its first episode is filmed.
+    """
+
+    env: str
+    method: str
+    of: str
+    source: str
+    film: bool = False
+
+
+@dataclass(frozen=True)
+class StudyEntry:
+    """A trained cell, sampled in several ways from the same starts and with the same noise.
+
+    Attributes:
+        env, method, of: the cell.
+        rollouts: episodes a seed and goal set, the first of each.
+        vary: values by parameter of the cell's sampling; every combination is played.
+        goals: some of the evaluation's goal sets; null is the first, which is the paper's.
+    """
+
+    env: str
+    method: str
+    of: str
+    rollouts: int
+    vary: dict[str, Any]
+    goals: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(self, "rollouts")
+        for name, values in self.vary.items():
+            require(
+                isinstance(values, list) and len(values) > 0 and all(v not in values[:i] for i, v in enumerate(values)),
+                f"vary.{name} = {values!r}: must be a list of different values, at least one",
+            )
+        require(len(self.vary) > 0, "vary = {}: must name at least one parameter")
+
+
+@dataclass(frozen=True)
+class MethodEntry:
+    """One method's blocks: by environment, for `all` of them, and the method that it is `like`.
+
+    Attributes:
+        label: the report's name.
+        train, sample: apart, so that a change of sampling never retrains.
+    """
+
+    label: str
+    train: dict[str, Any]
+    sample: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """The blocks that all methods begin with."""
+
+    train: dict[str, Any]
+    sample: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Latency:
+    """How policy calls are timed: medians over `repeats` calls at each batch size."""
+
+    repeats: int
+    batches: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        require_positive(self, "repeats")
+        require(
+            len(self.batches) > 0 and min(self.batches) > 0,
+            f"batches = {list(self.batches)}: must be positive, at least one",
+        )
+
+
+@dataclass(frozen=True)
+class ForkEntry:
+    """How long every method trains on the fork (see stages.fork), and how many actions are drawn."""
+
+    updates: int
+    samples: int
+
+    def __post_init__(self) -> None:
+        require_positive(self, "updates", "samples")
+
+
+@dataclass(frozen=True)
+class File:
+    """The top of params.yaml."""
+
+    profile: str
+    seed: int
+    all_environments: dict[str, Any]
+    environments: dict[str, Any]
+    images: dict[str, ImageParams]
+    cells: dict[str, CellEntry]
+    all_studies: dict[str, Any]
+    studies: dict[str, Any]
+    latency: Latency
+    fork: ForkEntry
+    all_methods: Blocks
+    methods: dict[str, MethodEntry]
+
+    def __post_init__(self) -> None:
+        require(
+            re.fullmatch("[a-z0-9-]+", self.profile) is not None,
+            f"profile = {self.profile!r}: must be made of lower-case letters, digits and hyphens",
+        )
+        require(self.seed >= 0, f"seed = {self.seed}: must not be negative")
+        require(len(self.cells) > 0, "cells = {}: at least one is needed")
+        for part in ("environments", "methods", "studies"):
+            for name in getattr(self, part):
+                require(
+                    NAME.fullmatch(name) is not None and name not in SHARED,
+                    f"{part}.{name}: a name must be made of lower-case letters, digits and _, and not be all or like",
+                )
+        for name, cell in self.cells.items():
+            require(
+                name == f"{cell.env}-{cell.method}",
+                f"cells.{name}: its name must be env and method with a hyphen between, {cell.env}-{cell.method}",
+            )
