@@ -144,6 +144,12 @@ def _config(description: dict[str, Any], path: Path) -> Any:
     return build(methods.load(str(name)).Config, model, f"{path}: model")
 
 
+def _fits(found: Tensor, expected: Tensor) -> bool:
+    """Whether a weight is of the expected shape and kind; an archive keeps it in half precision."""
+    kinds = {expected.dtype, torch.float16} if expected.dtype == torch.float32 else {expected.dtype}
+    return found.shape == expected.shape and found.dtype in kinds
+
+
 def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> LoadedModel:
     """Rebuild a trained policy.
 
@@ -179,10 +185,8 @@ def load(folder: Path, seed: int, sampling: Any, device: torch.device) -> Loaded
         encoding = build(Encoding, description["encoder"], f"{description_path}: encoder")
         whole = finetuned.modules(method, encoding)
         encode, frame_size = FrameEncoder(whole["encoder"], encoding, device), encoding.size
-    found, expected = (
-        {key: (value.shape, value.dtype) for key, value in state.items()} for state in (weights, whole.state_dict())
-    )
-    if found != expected:
+    expected = whole.state_dict()
+    if weights.keys() != expected.keys() or not all(_fits(weights[key], expected[key]) for key in expected):
         raise wrong
     whole.load_state_dict(weights)
     context = config.context

@@ -123,8 +123,8 @@ def test_damaged_checkpoint(small):
 @pytest.mark.parametrize(
     ("env", "message"),
     [
-        ("block_push", "nowhere/multimodal_push_observations.npy is missing"),
-        ("kitchen", "nowhere/observations_seq.npy is missing"),
+        ("block_push", "nowhere holds no demonstrations: `folder` must hold multimodal_push_observations"),
+        ("kitchen", "nowhere holds no demonstrations: `folder` must hold observations_seq"),
     ],
 )
 def test_published_folder_that_is_not_there(workspace, env, message, called):

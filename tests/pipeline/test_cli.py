@@ -83,7 +83,7 @@ def test_any_subfolder_and_the_home_will_do(tmp_path, monkeypatch):
 def test_a_policy_by_hand_acts_as_the_pipelines(finished, tmp_path):
     """Trained, evaluated and filmed in three commands: the stages' rows."""
     workspace, cell = finished.copy(tmp_path / "workspace"), "block_push-c_beso"
-    workspace.set("machine.workers", 1)
+    workspace.machine(workers=1)
     assert workspace.beso("train", cell, "--seed", "1").stdout.endswith(f"all trained: {cell}\n")
     shown = workspace.beso("evaluate", cell, "--seed", "1", "--models", "trained", "--rows", "rows.csv").stdout
     made = pd.read_csv(workspace.folder / "results/block_push/c_beso.csv").query("seed == 1")

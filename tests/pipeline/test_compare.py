@@ -158,7 +158,7 @@ def test_revisions_have_episodes_through_dvc(small):
     small.repro("evaluate@block_push-c_beso")
     done = small.beso("compare", "HEAD", ".", "--markdown")
     assert "| Block-Push | C-BESO | training goals | Result |" in done.stdout
-    assert "methods.c_beso.sample.block_push.sampler: ddim -> euler_ancestral" in done.stdout
+    assert "methods.c_beso.sample.block_push.sampler: (none) -> euler_ancestral" in done.stdout
     small.run("rm", "-r", ".dvc/cache")
     done = small.beso("compare", "HEAD", ".", check=False)
     assert (done.returncode, done.stdout.startswith("error: HEAD: no results there: run `dvc repro`")) == (1, True)

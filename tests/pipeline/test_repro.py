@@ -55,12 +55,12 @@ def test_a_changed_sampler_reruns_evaluation_and_a_changed_learning_rate_trainin
     # Methods that are like it sample as it does where they do not say otherwise.
     like_it = ("c_beso", "cfg_beso", "c_beso_film", "cfg_beso_element", "c_beso_log_normal")
     cells = {f"evaluate@block_push-{name}" for name in like_it}
-    names = ("samplers", "samplers_log_normal", "noise", "schedules", "context", "guidance", "guidance_element")
+    # Studies of samplers choose the number of steps themselves.
+    names = ("noise", "schedules", "context", "guidance", "guidance_element")
     studies = {f"study@{name}_block_push" for name in names}
-    trained = {"train@block_push-gcbc", "evaluate@block_push-gcbc"}
-    stale = {*cells, *studies, *trained, "tables", "page"}
+    stale = {*cells, *studies, "train@block_push-gcbc", "tables", "page"}
     assert workspace.stale() == stale
-    assert set(small.repro()) == stale & small.stages()
+    assert set(small.repro()) == (stale | {"evaluate@block_push-gcbc"}) & small.stages(), "what follows, too"
 
 
 def test_a_change_in_a_methods_file_reruns_that_method_only(workspace, finished_small, tmp_path):

@@ -176,7 +176,8 @@ def test_another_run_of_other_targets_is_left_alone(repository):
     repository.write("nap_other", "60")
     command = [sys.executable, "-m", "dvc", "repro", "other"]
     settings = {"cwd": repository.folder, "env": repository.environment, "start_new_session": True}
-    other = subprocess.Popen(command, **settings, stderr=subprocess.DEVNULL)
+    listens = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731 (a background job ignores Ctrl-C)
+    other = subprocess.Popen(command, **settings, stderr=subprocess.DEVNULL, preexec_fn=listens)
     try:
         wait_for(repository, 1)
         assert "3 stages brought up to date" in repository.call(*repository.command("side"))

@@ -8,6 +8,7 @@ from beso.envs.calvin.demonstrations.hand import Hand
 from beso.envs.calvin.demonstrations.oracle import perform
 from beso.envs.calvin.simulator.observations import GRIPPER_COMMAND, GRIPPER_WIDTH, TCP_EULER, TCP_POSITION, block_slice
 from beso.envs.calvin.simulator.play_table import PlayTable
+from beso.errors import UserError
 
 
 def act(table, *action, times=1, gripper=1.0):
@@ -81,7 +82,7 @@ def test_reset_keeps_a_held_block_held(table, scene):
 
 
 def test_arrays_of_another_shape_are_refused(table, scene):
-    with pytest.raises(ValueError, match=r"\(23,\)"):
+    with pytest.raises(UserError, match=r"scene_obs has shape \(23,\), expected \(24,\)"):
         table.reset(scene[1:])
 
 
