@@ -147,7 +147,7 @@ def test_published_data_keep_their_split(recorded, tmp_path):
     assert packed.meta["held_out_episodes"] == [4, 5, 6, 7]
     same = np.arange(48)[np.arange(48) % 12 > 0]
     assert np.array_equal(packed.frames.read(same), packed.frames.read(48 + same))
-    with pytest.raises(UserError, match=r"nowhere/training/ep_start_end_ids.npy is missing"):
+    with pytest.raises(UserError, match=r"nowhere has no folder `training`"):
         make_raw(dataclasses.replace(published, folder="nowhere"))
 
 
