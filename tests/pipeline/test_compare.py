@@ -162,5 +162,5 @@ def test_revisions_have_episodes_through_dvc(small):
     small.run("rm", "-r", ".dvc/cache")
     done = small.beso("compare", "HEAD", ".", check=False)
     assert (done.returncode, done.stdout.startswith("error: HEAD: no results there: run `dvc repro`")) == (1, True)
-    done = small.beso("compare", "HEAD", "nothing", check=False)
+    done = small.beso("compare", ".", "nothing", check=False)
     assert (done.returncode, done.stdout) == (1, "error: nothing: neither a folder nor a git revision\n")
