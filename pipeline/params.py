@@ -12,7 +12,7 @@ from beso.core.training_config import TrainingConfig, TrainingJob
 from beso.errors import UserError
 from pipeline import paths
 from pipeline.inheritance import Inheritance, Layers, build_merged
-from pipeline.recipes import CellPaths, EvaluateRecipe, StudyRecipe, TrainRecipe
+from pipeline.recipes import CellPaths, EvaluateRecipe, StudyRecipe, TrainRecipe, check_fit
 from pipeline.settings import CellEntry, EnvironmentParams, File, ForkEntry, ImageParams, Latency, StudyEntry
 from pipeline.yaml import read_yaml
 
@@ -190,7 +190,7 @@ def _cell(entry: CellEntry, environment: EnvironmentParams, inheritance: Inherit
     config, layers = inheritance.whole(TrainingConfig, method, "train", env)
     model = build_merged(module.Config, layers, f"{top}.methods.{method}.train.{env}", ("model", config.model))
     sampling, _ = inheritance.whole(methods.sampling(entry.of), method, "sample", env)
-    _fits(model, sampling, f"{top}.methods.{method}.sample.{env}")
+    check_fit(model, sampling, f"{top}.methods.{method}.sample.{env}")
     teacher = None if entry.source == str(paths.play(env)) else Path(entry.source).name
     training, seeds = environment.training, environment.seeds
     job = TrainingJob(
@@ -213,13 +213,6 @@ def _cell(entry: CellEntry, environment: EnvironmentParams, inheritance: Inherit
 
 def _paths(entry: CellEntry) -> CellPaths:
     return CellPaths(entry.env, entry.method)
-
-
-def _fits(model: Any, sampling: Any, where: str) -> None:
-    try:
-        model.check(sampling)
-    except ValueError as error:
-        raise UserError(f"{where}: {error}") from None
 
 
 def _teacher(cells: dict[str, Cell], cell: Cell, images: dict[str, ImageParams], where: str) -> None:
@@ -251,7 +244,7 @@ def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> Stu
     for combination in itertools.product(*entry.vary.values()):
         changes.append(dict(zip(entry.vary, combination, strict=True)))
         samplings.append(build(methods.sampling(entry.of), {**whole, **changes[-1]}, where))
-        _fits(cell.train.first.config.model, samplings[-1], where)
+        check_fit(cell.train.first.config.model, samplings[-1], where)
     evaluation = dataclasses.replace(evaluation, goals=goals, rollouts=entry.rollouts)
     recipe = StudyRecipe(
         entry.env, entry.method, name, entry.of, cell.evaluate.seeds, tuple(changes), tuple(samplings), evaluation

@@ -14,6 +14,7 @@ from beso.core.training_config import TrainingJob
 from beso.errors import UserError
 from beso.evaluation.config import EvaluationConfig
 from beso.files import read_json
+from pipeline import paths
 
 FOLDER = Path("recipes")
 
@@ -35,12 +36,12 @@ class CellPaths:
     @property
     def play(self) -> Path:
         """The play dataset."""
-        return Path("data/play") / self.env
+        return paths.play(self.env)
 
     @property
     def trials(self) -> Path:
         """The episodes that policies are evaluated on."""
-        return Path("data/trials") / self.env
+        return paths.trials(self.env)
 
     @property
     def models(self) -> Path:
@@ -209,11 +210,16 @@ def fork_method(name: str, values: ForkMethod, where: str) -> ForkMethod:
     module = methods.load(name)
     model = build(module.Config, values.model, f"{where}.{name}.model")
     sampling = build(methods.sampling(name), values.sample, f"{where}.{name}.sample")
+    check_fit(model, sampling, f"{where}.{name}.sample")
+    return ForkMethod(model, sampling)
+
+
+def check_fit(model: Any, sampling: Any, where: str) -> None:
+    """Raise UserError where a Sampling does not fit the model's Config."""
     try:
         model.check(sampling)
     except ValueError as error:
-        raise UserError(f"{where}.{name}.sample: {error}") from None
-    return ForkMethod(model, sampling)
+        raise UserError(f"{where}: {error}") from None
 
 
 def _sampling(of: str, values: Any) -> Any:
