@@ -12,7 +12,7 @@ import safetensors.torch
 import torch
 from safetensors import SafetensorError
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
+from torch.overrides import TorchFunctionMode
 
 from beso import methods
 from beso.config import build
@@ -207,14 +207,14 @@ def _sizes(values: Any, scaling: Scaling, path: Path) -> Sizes:
     return Sizes(**values)
 
 
-class _AtMost(TorchDispatchMode):
+class _AtMost(TorchFunctionMode):
     """No more than so many bytes of new tensors: a damaged description may ask for a network of any size."""
 
     def __init__(self, size: int) -> None:
         super().__init__()
         self._left = size
 
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         made = func(*args, **(kwargs or {}))
         if isinstance(made, Tensor) and not any(isinstance(argument, Tensor) for argument in args):
             self._left -= made.nbytes + SMALLEST  # many small ones take long
