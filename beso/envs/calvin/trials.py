@@ -113,7 +113,7 @@ def attempt(table: PlayTable, wanted: tuple[str, ...], rng: np.random.Generator,
         another task than those wanted.
     """
     order = rng.permutation(wanted).tolist()
-    hand = Hand(table, rng)
+    hand = Hand(table)
     skill: Skill | None = prepare(table, hand, order[0], rng)
     holds = order[0] in PLACINGS
     scene_obs, robot_obs = table.scene_obs(), table.robot_obs() if holds else neutral_robot_obs()

@@ -28,18 +28,16 @@ class Manner:
 
     Attributes:
         pace: factor on speeds.
-        noise: standard deviation of noise on the translation of actions, in units of actions.
         height: m, added to the heights at which it hovers.
     """
 
     pace: float = 1.0
-    noise: float = 0.0
     height: float = 0.0
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> "Manner":
         """A manner as different people have it."""
-        return cls(rng.uniform(0.65, 1.25), rng.uniform(0.0, 0.12), rng.uniform(0.0, 0.03))
+        return cls(rng.uniform(0.65, 1.25), rng.uniform(0.0, 0.03))
 
 
 class Hand:
@@ -47,12 +45,11 @@ class Hand:
 
     Args:
         table: the table, which someone else steps.
-        rng: source of the noise.
         manner: how it moves; may be replaced between skills.
     """
 
-    def __init__(self, table: PlayTable, rng: np.random.Generator, manner: Manner | None = None) -> None:
-        self.table, self.rng = table, rng
+    def __init__(self, table: PlayTable, manner: Manner | None = None) -> None:
+        self.table = table
         self.manner = manner or Manner()
         self.grip = OPEN
 
@@ -91,9 +88,10 @@ class Hand:
         yield from self.wait(steps)
 
     def wait(self, steps: int) -> Motion:
-        """Stand still."""
+        """Stay here, and come back if moved."""
+        place, angles = self.table.arm.target_position, self.table.arm.target_euler
         for _ in range(steps):
-            yield self._action(np.zeros(3), np.zeros(3))
+            yield self._action(place, angles)
 
     def rise(self, height: float = SAFE_HEIGHT) -> Motion:
         """Go straight up to `height`, metres, if the hand is lower."""
@@ -124,12 +122,7 @@ class Hand:
         wanted = np.array([*tilt, yaw])
         speed = min(1.0, speed * self.manner.pace)
         for _ in range(round(limit / min(1.0, self.manner.pace))):
-            shift = (target() - self.table.arm.target_position) / POSITION_STEP
-            shift = shift * min(1.0, speed / max(np.abs(shift).max(), 1e-9))
-            turn = wanted - self.table.arm.target_euler
-            # Yaw is not wrapped: the shorter way round would run the wrist into its limit.
-            turn[:2] = wrap(turn[:2])
-            yield self._action(shift, turn / ANGLE_STEP)
+            yield self._action(target(), wanted, speed)
             if until is not None and until():
                 return
             robot = self.table.robot_obs()
@@ -137,6 +130,11 @@ class Hand:
             if turned and np.linalg.norm(robot[TCP_POSITION] - target()) < tolerance:
                 return
 
-    def _action(self, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        noise = self.rng.normal(0.0, self.manner.noise, 3) if self.manner.noise else 0.0
-        return np.array([*np.clip(shift + noise, -1, 1), *np.clip(turn, -1, 1), self.grip])
+    def _action(self, place: np.ndarray, angles: np.ndarray, speed: float = 1.0) -> np.ndarray:
+        """The action (7,) that brings the hand closer to xyz `place` and euler xyz `angles`."""
+        shift = (place - self.table.arm.target_position) / POSITION_STEP
+        shift = shift * min(1.0, speed / max(np.abs(shift).max(), 1e-9))
+        turn = angles - self.table.arm.target_euler
+        # Yaw is not wrapped: the shorter way round would run the wrist into its limit.
+        turn[:2] = wrap(turn[:2])
+        return np.array([*shift, *np.clip(turn / ANGLE_STEP, -1, 1), self.grip])

@@ -48,7 +48,7 @@ class Player:
 
     def __init__(self, table: PlayTable, rng: np.random.Generator) -> None:
         self.table, self.rng = table, rng
-        self.hand = Hand(table, rng)
+        self.hand = Hand(table)
         self._held: int | None = None
         self._rested = True  # the arm starts at its neutral pose
         self._families: Counter[str] = Counter()
