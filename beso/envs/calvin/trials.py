@@ -18,7 +18,7 @@ import numpy as np
 
 from beso.core.seeding import generator, integer_seed
 from beso.envs.calvin.demonstrations.hand import Hand
-from beso.envs.calvin.demonstrations.oracle import PLACINGS, SETTLE_STEPS, perform, prepare
+from beso.envs.calvin.demonstrations.oracle import PLACINGS, perform, prepare, settle
 from beso.envs.calvin.demonstrations.placing_skills import neutral
 from beso.envs.calvin.demonstrations.repertoire import Skill, with_block, with_free_hand
 from beso.envs.calvin.simulator import tasks
@@ -141,5 +141,5 @@ def _do(table: PlayTable, hand: Hand, skill: Skill, rng: np.random.Generator) ->
             return False
         perform(table, put_down.motion(hand))
     perform(table, neutral(hand))
-    perform(table, hand.open(SETTLE_STEPS))
+    settle(table, hand)
     return True

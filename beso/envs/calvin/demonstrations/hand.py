@@ -11,7 +11,15 @@ from typing import Final
 import numpy as np
 
 from beso.envs.calvin.simulator.arm import ANGLE_STEP, POSITION_STEP
-from beso.envs.calvin.simulator.observations import CLOSE, OPEN, TCP_EULER, TCP_POSITION, block_slice, wrap
+from beso.envs.calvin.simulator.observations import (
+    CLOSE,
+    GRIPPER_WIDTH,
+    OPEN,
+    TCP_EULER,
+    TCP_POSITION,
+    block_slice,
+    wrap,
+)
 from beso.envs.calvin.simulator.play_table import PlayTable
 
 Motion = Iterator[np.ndarray]
@@ -19,6 +27,8 @@ Place = Callable[[], np.ndarray]  # a waypoint that may move while the hand is o
 
 DOWN: Final = (np.pi, 0.0)  # roll and pitch of a hand that points down
 YAW: Final = 1.5  # of the neutral pose: the fingers open along x
+FINGER_STEPS: Final = 8  # within which the fingers have come to a stop
+STOPPED: Final = 0.001  # m; change of the gripper's width in a step
 SAFE_HEIGHT: Final = 0.58  # m; above everything that stands on the table
 
 
@@ -77,15 +87,24 @@ class Hand:
         """Pose of a block: xyz and euler xyz, (6,)."""
         return self.table.scene_obs()[block_slice(block)]
 
-    def close(self, steps: int = 8) -> Motion:
+    def close(self) -> Motion:
         """Close the gripper where it is."""
         self.grip = CLOSE
-        yield from self.wait(steps)
+        yield from self._move_fingers()
 
-    def open(self, steps: int = 8) -> Motion:
+    def open(self) -> Motion:
         """Open the gripper where it is."""
         self.grip = OPEN
-        yield from self.wait(steps)
+        yield from self._move_fingers()
+
+    def _move_fingers(self) -> Motion:
+        """Wait until the fingers have come to a stop."""
+        width = np.inf
+        for action in self.wait(FINGER_STEPS):
+            yield action
+            before, width = width, self.table.robot_obs()[GRIPPER_WIDTH]
+            if abs(width - before) < STOPPED:
+                return
 
     def wait(self, steps: int) -> Motion:
         """Stay here, and come back if moved."""

@@ -20,7 +20,7 @@ from beso.envs.calvin.simulator.table import SLIDE_TRAVEL
 
 # Of the gaps between skills. A policy is started from the neutral pose and has the arm there in its goal image; it has
 # to have seen play come and go there. Wandering says nothing about goals, and confuses policies (docs/fidelity.md).
-REST_SHARE, DETOUR_SHARE, PAUSE_SHARE = 0.7, 0.05, 0.1
+REST_SHARE, DETOUR_SHARE = 0.7, 0.05
 DETOUR_LOW, DETOUR_HIGH = np.array([-0.15, -0.32, 0.58]), np.array([0.25, -0.15, 0.68])  # tcp, metres
 BALANCE = 2.0  # a family played once more than another is this many times less likely to come next
 SHARES = {"push": 3.0, "rotate": 2.0}  # of families; these have six tasks each, and blocks can seldom be pushed
@@ -69,8 +69,6 @@ class Player:
             return Segment("rest", neutral(self.hand))
         if self.rng.random() < DETOUR_SHARE:
             return Segment("detour", self._detour())
-        if self.rng.random() < PAUSE_SHARE:
-            return Segment("pause", self.hand.wait(int(self.rng.integers(3, 12))))
         skills = self._possible()
         if not skills:  # a block hangs in the gripper, and there is no room for it anywhere
             self._held = None

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from beso.envs.calvin.demonstrations.hand import Hand, Manner
+from beso.envs.calvin.demonstrations.hand import FINGER_STEPS, Hand, Manner
 from beso.envs.calvin.demonstrations.oracle import perform, prepare
 from beso.envs.calvin.demonstrations.placing_skills import neutral
 from beso.envs.calvin.simulator import tasks
-from beso.envs.calvin.simulator.observations import TCP_POSITION
+from beso.envs.calvin.simulator.observations import CLOSE, GRIPPER_COMMAND, GRIPPER_WIDTH, OPEN, TCP_POSITION
 
 SEEDS = 3
 
@@ -62,6 +62,15 @@ def test_a_waiting_hand_comes_back_where_it_is_moved(table, scene):
     table.step(back)
     perform(table, waiting)
     assert table.robot_obs()[TCP_POSITION] == pytest.approx(start, abs=3e-3)
+
+
+def test_the_hand_goes_on_when_the_fingers_have_stopped(table, scene):
+    table.reset(scene)
+    hand = Hand(table)
+    for motion, command, width in ((hand.close, CLOSE, 0.0), (hand.open, OPEN, 0.08)):
+        assert 2 <= perform(table, motion()) < FINGER_STEPS
+        assert table.robot_obs()[GRIPPER_COMMAND] == command
+        assert table.robot_obs()[GRIPPER_WIDTH] == pytest.approx(width, abs=4e-3)
 
 
 def test_an_unknown_task_is_refused(table):
