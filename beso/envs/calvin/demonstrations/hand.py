@@ -29,6 +29,7 @@ DOWN: Final = (np.pi, 0.0)  # roll and pitch of a hand that points down
 YAW: Final = 1.5  # of the neutral pose: the fingers open along x
 FINGER_STEPS: Final = 8  # within which the fingers have come to a stop
 STOPPED: Final = 0.001  # m; change of the gripper's width in a step
+PATIENCE: Final = 8  # steps for which a hand that was sent as far as its waypoint may stay away from it
 SAFE_HEIGHT: Final = 0.58  # m; above everything that stands on the table
 
 
@@ -56,11 +57,15 @@ class Hand:
     Args:
         table: the table, which someone else steps.
         manner: how it moves; may be replaced between skills.
+
+    Attributes:
+        mistake: metres (3,) from each thing to where the hand takes it to be; may be replaced between skills.
     """
 
     def __init__(self, table: PlayTable, manner: Manner | None = None) -> None:
         self.table = table
         self.manner = manner or Manner()
+        self.mistake = np.zeros(3)
         self.grip = OPEN
 
     @property
@@ -84,8 +89,10 @@ class Hand:
         return float(self.table.fixtures.observation()[index])
 
     def block(self, block: int) -> np.ndarray:
-        """Pose of a block: xyz and euler xyz, (6,)."""
-        return self.table.scene_obs()[block_slice(block)]
+        """Pose of a block as the hand believes it: xyz and euler xyz, (6,)."""
+        pose = self.table.scene_obs()[block_slice(block)]
+        pose[:3] += self.mistake
+        return pose
 
     def close(self) -> Motion:
         """Close the gripper where it is."""
@@ -127,7 +134,7 @@ class Hand:
         limit: int = 60,
         until: Callable[[], bool] | None = None,
     ) -> Motion:
-        """Move to a waypoint.
+        """Move to a waypoint, and give up where something stops the hand.
 
         Args:
             place: where to, fixed or moving, xyz in metres.
@@ -140,6 +147,7 @@ class Hand:
         target = place if callable(place) else (lambda: np.asarray(place))
         wanted = np.array([*tilt, yaw])
         speed = min(1.0, speed * self.manner.pace)
+        late = 0
         for _ in range(round(limit / min(1.0, self.manner.pace))):
             yield self._action(target(), wanted, speed)
             if until is not None and until():
@@ -147,6 +155,9 @@ class Hand:
             robot = self.table.robot_obs()
             turned = abs(wrap(robot[TCP_EULER][2] - yaw)) < 0.1
             if turned and np.linalg.norm(robot[TCP_POSITION] - target()) < tolerance:
+                return
+            late += bool(np.abs(self.table.arm.target_position - target()).max() < POSITION_STEP)
+            if turned and late > PATIENCE:
                 return
 
     def _action(self, place: np.ndarray, angles: np.ndarray, speed: float = 1.0) -> np.ndarray:

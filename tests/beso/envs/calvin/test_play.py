@@ -14,7 +14,7 @@ from beso.envs.calvin.simulator import tasks
 
 @pytest.fixture(scope="module")
 def stretch():
-    return list(record(seed=20, index=5, length=1500, size=None))
+    return list(record(seed=20, index=3, length=1500, size=None))
 
 
 def columns(steps, name):
