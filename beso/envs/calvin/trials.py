@@ -18,7 +18,7 @@ import numpy as np
 
 from beso.core.seeding import generator, integer_seed
 from beso.envs.calvin.demonstrations.hand import Hand
-from beso.envs.calvin.demonstrations.oracle import PLACINGS, SETTLE_STEPS, perform, prepare
+from beso.envs.calvin.demonstrations.oracle import PLACINGS, perform, prepare, settle
 from beso.envs.calvin.demonstrations.placing_skills import neutral
 from beso.envs.calvin.demonstrations.repertoire import Skill, with_block, with_free_hand
 from beso.envs.calvin.simulator import tasks
@@ -113,7 +113,7 @@ def attempt(table: PlayTable, wanted: tuple[str, ...], rng: np.random.Generator,
         another task than those wanted.
     """
     order = rng.permutation(wanted).tolist()
-    hand = Hand(table, rng)
+    hand = Hand(table)
     skill: Skill | None = prepare(table, hand, order[0], rng)
     holds = order[0] in PLACINGS
     scene_obs, robot_obs = table.scene_obs(), table.robot_obs() if holds else neutral_robot_obs()
@@ -141,5 +141,5 @@ def _do(table: PlayTable, hand: Hand, skill: Skill, rng: np.random.Generator) ->
             return False
         perform(table, put_down.motion(hand))
     perform(table, neutral(hand))
-    perform(table, hand.open(SETTLE_STEPS))
+    settle(table, hand)
     return True

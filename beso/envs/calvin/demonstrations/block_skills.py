@@ -101,11 +101,11 @@ def rotate(hand: Hand, block: int, left: bool, degrees: float = 80.0) -> Motion:
     yield from hand.go((x, y, z + 0.012), yaw=yaw, speed=0.3, limit=10)
     yield from hand.go((x, y, z + 0.012), yaw=turned)
     yield from hand.go((x, y, z), yaw=turned, speed=0.3, limit=15)
-    yield from hand.open(5)
+    yield from hand.open()
     yield from hand.go((x, y, z + 0.1), yaw=turned)
 
 
 def drop_in_mid_air(hand: Hand) -> Motion:
     """Give up a grasp that missed: open the fingers and rise."""
-    yield from hand.open(4)
+    yield from hand.open()
     yield from hand.rise(SAFE_HEIGHT)

@@ -36,8 +36,8 @@ def switch_handle(switch: float) -> np.ndarray:
 
 
 def _from(hand: Hand, handle: Callable[[float], np.ndarray], joint: int) -> Callable[[float, float, float], Place]:
-    """offset(x, y, z) -> the place at that offset from a handle, wherever it has moved to."""
-    return lambda x, y, z: lambda: handle(hand.joint(joint)) + (x, y, z)
+    """offset(x, y, z) -> the place at that offset from where the hand believes a handle, wherever it has moved to."""
+    return lambda x, y, z: lambda: handle(hand.joint(joint)) + hand.mistake + (x, y, z)
 
 
 def open_drawer(hand: Hand, amount: float = 0.2) -> Motion:
@@ -84,13 +84,11 @@ def move_slider(hand: Hand, left: bool, amount: float = SLIDE_TRAVEL) -> Motion:
 
 def press_button(hand: Hand) -> Motion:
     """Press the button until the led changes, and go straight up: hovering lower would press it again."""
-    led = hand.joint(LED)
+    led, top = hand.joint(LED), BUTTON_TOP + hand.mistake
     hand.grip = CLOSE
-    yield from hand.go(BUTTON_TOP + (0, 0, 0.08 + hand.manner.height), tolerance=0.02)
-    yield from hand.go(
-        BUTTON_TOP + (0, 0, -0.03), speed=0.5, tolerance=0.003, limit=40, until=lambda: hand.joint(LED) != led
-    )
-    yield from hand.go(BUTTON_TOP + (0, 0, 0.08), tolerance=0.02)
+    yield from hand.go(top + (0, 0, 0.08 + hand.manner.height), tolerance=0.02)
+    yield from hand.go(top + (0, 0, -0.03), speed=0.5, tolerance=0.003, limit=40, until=lambda: hand.joint(LED) != led)
+    yield from hand.go(top + (0, 0, 0.08), tolerance=0.02)
 
 
 def move_switch(hand: Hand, on: bool) -> Motion:

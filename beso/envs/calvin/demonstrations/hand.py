@@ -11,7 +11,15 @@ from typing import Final
 import numpy as np
 
 from beso.envs.calvin.simulator.arm import ANGLE_STEP, POSITION_STEP
-from beso.envs.calvin.simulator.observations import CLOSE, OPEN, TCP_EULER, TCP_POSITION, block_slice, wrap
+from beso.envs.calvin.simulator.observations import (
+    CLOSE,
+    GRIPPER_WIDTH,
+    OPEN,
+    TCP_EULER,
+    TCP_POSITION,
+    block_slice,
+    wrap,
+)
 from beso.envs.calvin.simulator.play_table import PlayTable
 
 Motion = Iterator[np.ndarray]
@@ -19,6 +27,9 @@ Place = Callable[[], np.ndarray]  # a waypoint that may move while the hand is o
 
 DOWN: Final = (np.pi, 0.0)  # roll and pitch of a hand that points down
 YAW: Final = 1.5  # of the neutral pose: the fingers open along x
+FINGER_STEPS: Final = 8  # within which the fingers have come to a stop
+STOPPED: Final = 0.001  # m; change of the gripper's width in a step
+PATIENCE: Final = 8  # steps for which a hand that was sent as far as its waypoint may stay away from it
 SAFE_HEIGHT: Final = 0.58  # m; above everything that stands on the table
 
 
@@ -28,18 +39,16 @@ class Manner:
 
     Attributes:
         pace: factor on speeds.
-        noise: standard deviation of noise on the translation of actions, in units of actions.
         height: m, added to the heights at which it hovers.
     """
 
     pace: float = 1.0
-    noise: float = 0.0
     height: float = 0.0
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> "Manner":
         """A manner as different people have it."""
-        return cls(rng.uniform(0.65, 1.25), rng.uniform(0.0, 0.12), rng.uniform(0.0, 0.03))
+        return cls(rng.uniform(0.65, 1.25), rng.uniform(0.0, 0.03))
 
 
 class Hand:
@@ -47,13 +56,16 @@ class Hand:
 
     Args:
         table: the table, which someone else steps.
-        rng: source of the noise.
         manner: how it moves; may be replaced between skills.
+
+    Attributes:
+        mistake: metres (3,) from each thing to where the hand takes it to be; may be replaced between skills.
     """
 
-    def __init__(self, table: PlayTable, rng: np.random.Generator, manner: Manner | None = None) -> None:
-        self.table, self.rng = table, rng
+    def __init__(self, table: PlayTable, manner: Manner | None = None) -> None:
+        self.table = table
         self.manner = manner or Manner()
+        self.mistake = np.zeros(3)
         self.grip = OPEN
 
     @property
@@ -77,23 +89,35 @@ class Hand:
         return float(self.table.fixtures.observation()[index])
 
     def block(self, block: int) -> np.ndarray:
-        """Pose of a block: xyz and euler xyz, (6,)."""
-        return self.table.scene_obs()[block_slice(block)]
+        """Pose of a block as the hand believes it: xyz and euler xyz, (6,)."""
+        pose = self.table.scene_obs()[block_slice(block)]
+        pose[:3] += self.mistake
+        return pose
 
-    def close(self, steps: int = 8) -> Motion:
+    def close(self) -> Motion:
         """Close the gripper where it is."""
         self.grip = CLOSE
-        yield from self.wait(steps)
+        yield from self._move_fingers()
 
-    def open(self, steps: int = 8) -> Motion:
+    def open(self) -> Motion:
         """Open the gripper where it is."""
         self.grip = OPEN
-        yield from self.wait(steps)
+        yield from self._move_fingers()
+
+    def _move_fingers(self) -> Motion:
+        """Wait until the fingers have come to a stop."""
+        width = np.inf
+        for action in self.wait(FINGER_STEPS):
+            yield action
+            before, width = width, self.table.robot_obs()[GRIPPER_WIDTH]
+            if abs(width - before) < STOPPED:
+                return
 
     def wait(self, steps: int) -> Motion:
-        """Stand still."""
+        """Stay here, and come back if moved."""
+        place, angles = self.table.arm.target_position, self.table.arm.target_euler
         for _ in range(steps):
-            yield self._action(np.zeros(3), np.zeros(3))
+            yield self._action(place, angles)
 
     def rise(self, height: float = SAFE_HEIGHT) -> Motion:
         """Go straight up to `height`, metres, if the hand is lower."""
@@ -110,7 +134,7 @@ class Hand:
         limit: int = 60,
         until: Callable[[], bool] | None = None,
     ) -> Motion:
-        """Move to a waypoint.
+        """Move to a waypoint, and give up where something stops the hand.
 
         Args:
             place: where to, fixed or moving, xyz in metres.
@@ -123,20 +147,24 @@ class Hand:
         target = place if callable(place) else (lambda: np.asarray(place))
         wanted = np.array([*tilt, yaw])
         speed = min(1.0, speed * self.manner.pace)
+        late = 0
         for _ in range(round(limit / min(1.0, self.manner.pace))):
-            shift = (target() - self.table.arm.target_position) / POSITION_STEP
-            shift = shift * min(1.0, speed / max(np.abs(shift).max(), 1e-9))
-            turn = wanted - self.table.arm.target_euler
-            # Yaw is not wrapped: the shorter way round would run the wrist into its limit.
-            turn[:2] = wrap(turn[:2])
-            yield self._action(shift, turn / ANGLE_STEP)
+            yield self._action(target(), wanted, speed)
             if until is not None and until():
                 return
             robot = self.table.robot_obs()
             turned = abs(wrap(robot[TCP_EULER][2] - yaw)) < 0.1
             if turned and np.linalg.norm(robot[TCP_POSITION] - target()) < tolerance:
                 return
+            late += bool(np.abs(self.table.arm.target_position - target()).max() < POSITION_STEP)
+            if turned and late > PATIENCE:
+                return
 
-    def _action(self, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        noise = self.rng.normal(0.0, self.manner.noise, 3) if self.manner.noise else 0.0
-        return np.array([*np.clip(shift + noise, -1, 1), *np.clip(turn, -1, 1), self.grip])
+    def _action(self, place: np.ndarray, angles: np.ndarray, speed: float = 1.0) -> np.ndarray:
+        """The action (7,) that brings the hand closer to xyz `place` and euler xyz `angles`."""
+        shift = (place - self.table.arm.target_position) / POSITION_STEP
+        shift = shift * min(1.0, speed / max(np.abs(shift).max(), 1e-9))
+        turn = angles - self.table.arm.target_euler
+        # Yaw is not wrapped: the shorter way round would run the wrist into its limit.
+        turn[:2] = wrap(turn[:2])
+        return np.array([*shift, *np.clip(turn / ANGLE_STEP, -1, 1), self.grip])

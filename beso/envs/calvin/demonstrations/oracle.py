@@ -10,7 +10,7 @@ from beso.envs.calvin.demonstrations.placing_skills import drawer_middle
 from beso.envs.calvin.demonstrations.player import draw_start
 from beso.envs.calvin.demonstrations.repertoire import Skill, with_block, with_free_hand
 from beso.envs.calvin.simulator import tasks
-from beso.envs.calvin.simulator.observations import BLOCKS, DRAWER, block_slice
+from beso.envs.calvin.simulator.observations import BLOCKS, DRAWER, OPEN, block_slice
 from beso.envs.calvin.simulator.play_table import PlayTable
 from beso.envs.calvin.simulator.spawn import OPEN_DRAWER
 
@@ -29,6 +29,12 @@ def perform(table: PlayTable, motion: Motion) -> int:
     return steps
 
 
+def settle(table: PlayTable, hand: Hand) -> None:
+    """Open the gripper and stay until everything has come to rest."""
+    hand.grip = OPEN
+    perform(table, hand.wait(SETTLE_STEPS))
+
+
 def prepare(table: PlayTable, hand: Hand, task: str, rng: np.random.Generator) -> Skill:
     """Reset the table to a random state in which `task` can be done.
 
@@ -45,7 +51,7 @@ def prepare(table: PlayTable, hand: Hand, task: str, rng: np.random.Generator) -
         raise ValueError(f"task {task!r} is not one of {', '.join(tasks.NAMES)}")
     for _ in range(SCENES):
         table.reset(_start(task, rng))
-        perform(table, hand.open(SETTLE_STEPS))
+        settle(table, hand)
         held = _lift_any(table, hand, rng) if task in PLACINGS else None
         if task in PLACINGS and held is None:
             continue

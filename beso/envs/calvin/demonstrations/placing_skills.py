@@ -7,7 +7,7 @@ from functools import partial
 from typing import Final
 
 from beso.envs.calvin.demonstrations.hand import YAW, Hand, Motion
-from beso.envs.calvin.simulator.observations import DRAWER, SLIDE
+from beso.envs.calvin.simulator.observations import DRAWER, OPEN, SLIDE
 from beso.envs.calvin.simulator.table import SLIDE_TRAVEL
 
 CARRYING_HEIGHT: Final = 0.60  # m; a block in the fingers clears those on the table
@@ -40,7 +40,7 @@ def put_on_table(hand: Hand, x: float, y: float) -> Motion:
     yield from carry_clear(hand)
     yield from go((x, y, 0.56), tolerance=0.015)
     yield from go((x, y, 0.466), speed=0.5, tolerance=0.008, limit=30)
-    yield from hand.open(6)
+    yield from hand.open()
     yield from go((x, y, 0.57))
 
 
@@ -83,5 +83,5 @@ def stack(hand: Hand, below: int) -> Motion:
 def neutral(hand: Hand) -> Motion:
     """Go back to where episodes start, with an open gripper."""
     yield from hand.rise()
-    yield from hand.open(2)
+    hand.grip = OPEN
     yield from hand.go((0.026, -0.231, 0.571), yaw=YAW, tolerance=0.02)

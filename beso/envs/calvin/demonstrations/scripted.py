@@ -2,6 +2,9 @@
 
 An episode is a stretch of play without a reset. Episode `index` of the recording with root seed `seed` depends on these
 two numbers alone.
+
+A tremor moves the arm, a first-order autoregressive noise. What is recorded is what the hand wants in the state that
+the tremor led to, not what the arm does (Laskey et al. 2017, DART): the way back, and no noise.
 """
 
 import functools
@@ -13,8 +16,12 @@ import numpy as np
 from beso.core.seeding import generator
 from beso.envs.calvin.demonstrations.player import Player, Segment, block_lost, draw_start
 from beso.envs.calvin.simulator import tasks
-from beso.envs.calvin.simulator.observations import GRIPPER_COMMAND, TCP_EULER, TCP_POSITION
+from beso.envs.calvin.simulator.observations import ACTION_SIZE, GRIPPER_COMMAND, TCP_EULER, TCP_POSITION
 from beso.envs.calvin.simulator.play_table import PlayTable
+
+LARGEST_TREMOR = 0.3  # standard deviation, in units of actions
+TREMOR_MEMORY = 0.8  # share of the tremor that is left after a step; 0.6 of new noise keeps its size
+TREMOR_SHAPE = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.0])  # of translation, rotation and gripper
 
 
 @dataclass(frozen=True)
@@ -25,8 +32,8 @@ class Step:
         frame: (size, size, 3) uint8 RGB of the static camera, before the action.
         robot_obs: (15,) state of the arm, before the action.
         scene_obs: (24,) state of the table, before the action.
-        rel_action: (7,) the commanded relative action. In the published data it is the displacement that followed;
-            the command is what policies have to give.
+        rel_action: (7,) the relative action that the hand wants, without the tremor. In the published data it is the
+            displacement that followed; the command is what policies have to give.
         action: (7,) tcp xyz, euler xyz and gripper command that followed, as published.
         tasks: (34,) uint8, 1 for each task that is done from this row to its segment's end, but not in the row before.
         segment_start: whether a segment starts here. Tasks are judged against the state in its first row.
@@ -57,19 +64,29 @@ def record(seed: int, index: int, length: int, size: int | None) -> Iterator[Ste
     player = Player(table, rng)
     recorded = 0
     while recorded < length and not block_lost(table):
-        steps = _record_segment(table, player.next_segment(), length - recorded, size)
+        steps = _record_segment(table, player.next_segment(), _tremor(rng), length - recorded, size)
         recorded += len(steps)
         yield from steps
 
 
-def _record_segment(table: PlayTable, segment: Segment, length: int, size: int | None) -> list[Step]:
+def _tremor(rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """What moves the arm besides its actions, (7,) a step; how strongly is drawn once."""
+    spread, tremor = rng.uniform(0, LARGEST_TREMOR) * TREMOR_SHAPE, np.zeros(ACTION_SIZE)
+    while True:
+        tremor = TREMOR_MEMORY * tremor + 0.6 * spread * rng.standard_normal(ACTION_SIZE)
+        yield tremor
+
+
+def _record_segment(
+    table: PlayTable, segment: Segment, tremor: Iterator[np.ndarray], length: int, size: int | None
+) -> list[Step]:
     """The steps of one segment, at most `length`, with labels; they are known only at its end."""
     start = table.state()
     steps: list[Step] = []
     done: list[np.ndarray] = [np.zeros(len(tasks.NAMES), dtype=bool)]  # in each row, and after the last one
     frame, robot_obs, scene_obs = _observe(table, size)
-    for rel_action in segment.motion:
-        table.step(rel_action)
+    for rel_action, shake in zip(segment.motion, tremor, strict=False):
+        table.step(rel_action + shake)
         done.append(tasks.completed(start, table.state()))
         after = _observe(table, size)
         action = np.array([*after[1][TCP_POSITION], *after[1][TCP_EULER], after[1][GRIPPER_COMMAND]])

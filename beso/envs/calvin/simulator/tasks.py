@@ -1,8 +1,9 @@
 """CALVIN's 34 tasks: changes between two states of the table, judged by the published criteria.
 
 A task is a predicate over the state at its start and the state now; several may hold at once. The criteria are those
-of github.com/mees/calvin (`new_playtable_tasks.yaml`) and github.com/mees/calvin_env (`tasks.py`). Lengths are metres,
-angles degrees; "right" is towards positive x and, of rotations, clockwise from above.
+of github.com/mees/calvin (`new_playtable_tasks.yaml`), and what github.com/mees/calvin_env (`tasks.py`, 797142c) does;
+docs/fidelity.md tells where that differs from what it says. Lengths are metres, angles degrees; "right" is towards
+positive x and, of rotations, clockwise from above.
 """
 
 import math
@@ -14,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from beso.envs.calvin.simulator.observations import BLOCKS
-from beso.envs.calvin.simulator.state import ROBOT, TABLE, TableState
+from beso.envs.calvin.simulator.state import ROBOT, TABLE, BlockState, TableState
 
 Predicate = Callable[[TableState, TableState], bool]
 
@@ -34,23 +35,21 @@ def rotated(block: str, degrees: float, start: TableState, end: TableState) -> b
 
 
 def pushed(block: str, distance: float, start: TableState, end: TableState) -> bool:
-    """The block moved by more than `distance` (its sign is the direction) along x, on the same support."""
+    """The block moved by more than `distance` (its sign is the direction) along x and still touches what it touched."""
     before, after = start.blocks[block], end.blocks[block]
-    support = before.touched - {ROBOT}
-    if not support or support != after.touched - {ROBOT}:
+    support = _contacts(before)
+    if not support or not support <= _contacts(after):
         return False
     return math.copysign(1, distance) * (after.position[0] - before.position[0]) > abs(distance)
 
 
 def lifted(block: str, link: str, height: float, start: TableState, end: TableState) -> bool:
-    """The block stood on `link` of the table and hangs in the gripper, more than `height` higher."""
+    """The block touched `link` of the table and hangs in the gripper, more than `height` higher.
+
+    The robot may touch the block at the start.
+    """
     before, after = start.blocks[block], end.blocks[block]
-    return (
-        after.position[2] - before.position[2] > height
-        and ROBOT not in before.touched
-        and after.touched == {ROBOT}
-        and link in before.touched_links
-    )
+    return after.position[2] - before.position[2] > height and after.touched == {ROBOT} and link in before.touched_links
 
 
 def placed(link: str, start: TableState, end: TableState) -> bool:
@@ -64,12 +63,12 @@ def placed(link: str, start: TableState, end: TableState) -> bool:
 
 
 def pushed_into(source: str, target: str, start: TableState, end: TableState) -> bool:
-    """Some block stood on link `source` of the table and touches `target`; the robot touches it neither time."""
+    """Some block touched link `source` of the table and nothing else, and touches link `target`.
+
+    The robot may touch the block at the end.
+    """
     return any(
-        before.touched == {TABLE}
-        and before.touched_links == {source}
-        and target in end.blocks[name].touched_links
-        and ROBOT not in end.blocks[name].touched
+        before.touched == {TABLE} and before.touched_links == {source} and target in end.blocks[name].touched_links
         for name, before in start.blocks.items()
     )
 
@@ -92,6 +91,11 @@ def stacked(start: TableState, end: TableState) -> bool:
 def unstacked(start: TableState, end: TableState) -> bool:
     """Some block rested on nothing but others, and touches none of them."""
     return any(_rests_on_blocks(start, name) and not end.blocks[name].touched & set(BLOCKS) for name in start.blocks)
+
+
+def _contacts(block: BlockState) -> frozenset[str]:
+    """Whatever touches the block but the robot, each link of the table by itself."""
+    return (block.touched - {ROBOT, TABLE}) | block.touched_links
 
 
 def _rests_on_blocks(state: TableState, name: str) -> bool:

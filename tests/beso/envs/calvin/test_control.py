@@ -73,7 +73,7 @@ def test_reset_reproduces_a_state_of_play(table, scene):
 
 def test_reset_keeps_a_held_block_held(table, scene):
     table.reset(scene)
-    perform(table, lift(Hand(table, np.random.default_rng(0)), 0))
+    perform(table, lift(Hand(table), 0))
     table.reset(table.scene_obs(), table.robot_obs())
     height = table.scene_obs()[block_slice(0)][2]
     act(table, *np.zeros(6), gripper=-1, times=30)

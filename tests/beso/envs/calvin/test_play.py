@@ -5,6 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from beso.envs.calvin.demonstrations import scripted
 from beso.envs.calvin.demonstrations.layout import IN_SLIDER, ON_TABLE, place_of
 from beso.envs.calvin.demonstrations.player import draw_start
 from beso.envs.calvin.demonstrations.scripted import _labels, record
@@ -13,7 +14,7 @@ from beso.envs.calvin.simulator import tasks
 
 @pytest.fixture(scope="module")
 def stretch():
-    return list(record(seed=20, index=1, length=1500, size=None))
+    return list(record(seed=20, index=3, length=1500, size=None))
 
 
 def columns(steps, name):
@@ -28,7 +29,7 @@ def test_a_stretch_has_the_length_that_was_asked_for(stretch):
 
 def test_no_family_dominates(stretch):
     families = Counter(step.family for step in stretch if step.segment_start)
-    skills = {name: count for name, count in families.items() if name not in ("rest", "detour", "pause", "recover")}
+    skills = {name: count for name, count in families.items() if name not in ("rest", "detour", "recover")}
     assert len(skills) >= 8
     assert max(skills.values()) <= 0.25 * sum(skills.values())
     assert families["rest"] > families["detour"] > 0
@@ -79,6 +80,19 @@ def test_actions_are_what_the_arm_then_did(stretch):
     assert (actions[:, 6] == columns(stretch, "rel_action")[:, 6]).all()
     assert set(actions[:, 6]) == {-1, 1}
     assert np.abs(columns(stretch, "rel_action")).max() <= 1
+
+
+def test_what_is_recorded_is_wanted_and_what_is_done_is_disturbed(monkeypatch):
+    table = scripted._recording_table()
+    done = []
+    step = table.step
+    monkeypatch.setattr(table, "step", lambda action: done.append(action) or step(action))
+    wanted = columns(list(record(seed=2, index=0, length=400, size=None)), "rel_action")
+    tremor = np.array(done) - wanted
+    assert not tremor[:, 6].any()
+    assert 0.03 < tremor[:, :3].std() < scripted.LARGEST_TREMOR
+    assert 0.01 < tremor[:, 3:6].std() < 0.3 * scripted.LARGEST_TREMOR
+    assert np.corrcoef(tremor[1:, 0], tremor[:-1, 0])[0, 1] > 0.6
 
 
 def test_an_episode_depends_on_its_seed_and_index_alone():

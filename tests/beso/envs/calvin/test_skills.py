@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from beso.envs.calvin.demonstrations.hand import Hand, Manner
+from beso.envs.calvin.demonstrations.hand import FINGER_STEPS, Hand, Manner
 from beso.envs.calvin.demonstrations.oracle import perform, prepare
 from beso.envs.calvin.demonstrations.placing_skills import neutral
 from beso.envs.calvin.simulator import tasks
-from beso.envs.calvin.simulator.observations import TCP_POSITION
+from beso.envs.calvin.simulator.observations import CLOSE, GRIPPER_COMMAND, GRIPPER_WIDTH, OPEN, TCP_POSITION
 
 SEEDS = 3
 
@@ -18,7 +18,7 @@ def test_skill_completes_its_task(table, task):
     successes = 0
     for seed in range(SEEDS):
         rng = np.random.default_rng([100, seed])
-        hand = Hand(table, rng, Manner.draw(rng))
+        hand = Hand(table, Manner.draw(rng))
         skill = prepare(table, hand, task, rng)
         start = table.state()
         steps = perform(table, skill.motion(hand))
@@ -30,29 +30,49 @@ def test_skill_completes_its_task(table, task):
 def test_the_hand_returns_to_where_episodes_start(table, scene):
     table.reset(scene)
     start = table.robot_obs()[TCP_POSITION]
-    hand = Hand(table, np.random.default_rng(0))
+    hand = Hand(table)
     perform(table, hand.go((0.2, -0.1, 0.6), yaw=2.5))
     perform(table, neutral(hand))
     assert np.linalg.norm(table.robot_obs()[TCP_POSITION] - start) < 0.03
 
 
-def test_noise_and_pace_change_the_actions(table, scene):
+def test_pace_changes_the_actions(table, scene):
     def actions(manner):
         table.reset(scene)
-        hand = Hand(table, np.random.default_rng(0), manner)
+        hand = Hand(table, manner)
         taken = []
         for action in hand.go((0.2, -0.2, 0.6)):
             taken.append(action)
             table.step(action)
         return np.array(taken)
 
-    plain, noisy, slow = (actions(m) for m in (Manner(), Manner(noise=0.1), Manner(pace=0.5)))
+    plain, slow = (actions(m) for m in (Manner(), Manner(pace=0.5)))
     assert len(slow) > len(plain)
     assert np.abs(slow[:, :3]).max() <= 0.4 + 1e-9
-    assert np.abs(noisy[0, :3] - plain[0, :3]).max() > 0.01
-    assert np.abs(noisy).max() <= 1
+    assert np.abs(plain).max() <= 1
+
+
+def test_a_waiting_hand_comes_back_where_it_is_moved(table, scene):
+    table.reset(scene)
+    start, waiting = table.robot_obs()[TCP_POSITION], Hand(table).wait(20)
+    assert not next(waiting)[:6].any()
+    table.step(np.array([1.0, -1.0, 0.5, 0, 0, 0, 1.0]))
+    back = next(waiting)
+    assert back[:3] == pytest.approx([-1.0, 1.0, -0.5])
+    table.step(back)
+    perform(table, waiting)
+    assert table.robot_obs()[TCP_POSITION] == pytest.approx(start, abs=3e-3)
+
+
+def test_the_hand_goes_on_when_the_fingers_have_stopped(table, scene):
+    table.reset(scene)
+    hand = Hand(table)
+    for motion, command, width in ((hand.close, CLOSE, 0.0), (hand.open, OPEN, 0.08)):
+        assert 2 <= perform(table, motion()) < FINGER_STEPS
+        assert table.robot_obs()[GRIPPER_COMMAND] == command
+        assert table.robot_obs()[GRIPPER_WIDTH] == pytest.approx(width, abs=4e-3)
 
 
 def test_an_unknown_task_is_refused(table):
     with pytest.raises(ValueError, match="'juggle' is not one of"):
-        prepare(table, Hand(table, np.random.default_rng(0)), "juggle", np.random.default_rng(0))
+        prepare(table, Hand(table), "juggle", np.random.default_rng(0))

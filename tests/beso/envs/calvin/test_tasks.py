@@ -104,10 +104,23 @@ class TestBlocks:
         assert done(start, self.one(colour, x=0.201)) == (f"push_{colour}_block_right",)
         assert done(start, self.one(colour, x=-0.001)) == (f"push_{colour}_block_left",)
         assert done(start, self.one(colour, x=0.199)) == ()
-        assert done(start, self.one(colour, x=0.3, bodies=("block_other",))) == ()  # another support
         assert done(start, self.one(colour, x=0.3, links=())) == ()
         pushed = self.one(colour, x=0.3, bodies=("robot",))
         assert done(start, pushed) == (f"push_{colour}_block_right",)
+        assert done(pushed, self.one(colour)) == (f"push_{colour}_block_left",)
+
+    def test_push_ends_on_all_that_the_block_was_on(self, colour):
+        right = (f"push_{colour}_block_right",)
+        on_table, beside = self.one(colour), self.one(colour, bodies=("block_other",))
+        assert done(on_table, self.one(colour, x=0.3, bodies=("block_other",))) == right
+        assert done(on_table, self.one(colour, x=0.3, links=("base_link", "plank_link"))) == right
+        assert done(on_table, self.one(colour, x=0.3, links=("plank_link",))) == ()  # the table, another link
+        assert done(self.one(colour, links=("base_link", "switch_link")), self.one(colour, x=0.3)) == ()
+        assert done(beside, self.one(colour, x=0.3)) == ()
+        assert done(beside, self.one(colour, x=0.3, bodies=("block_third",))) == ()
+        assert done(beside, self.one(colour, x=0.3, bodies=("block_other",))) == right
+        in_hand = state(**{f"block_{colour}": held()})
+        assert done(in_hand, self.one(colour, x=0.3)) == ()
 
     @pytest.mark.parametrize(
         ("place", "link", "height"),
@@ -123,8 +136,13 @@ class TestBlocks:
         assert done(start, end(held(z=0.459 + height))) == ()
         scraping = block(z=0.6, links=("base_link",), bodies=("robot",))
         assert done(start, end(scraping)) == ()
-        already = self.one(colour, links=(link,), bodies=("robot",))
-        assert done(already, end(held(z=0.6))) == ()
+        on_another = block(z=0.6, links=(), bodies=("block_other", "robot"))
+        assert done(start, end(on_another)) == ()
+        grasped = self.one(colour, links=(link,), bodies=("robot",))
+        assert done(grasped, end(held(z=0.6))) == (f"lift_{colour}_block_{place}",)
+        assert done(end(held(z=0.46)), end(held(z=0.6))) == ()  # in the air from the start
+        elsewhere = self.one(colour, links=("button_link",), bodies=("robot",))
+        assert done(elsewhere, end(held(z=0.6))) == ()
 
 
 @pytest.mark.parametrize(
@@ -182,8 +200,12 @@ def test_stack_and_unstack():
 def test_push_into_drawer():
     start = state()
     inside = block(z=0.36, links=("drawer_link",))
-    assert done(start, state(block_pink=inside)) == ("push_into_drawer",)
-    assert done(start, state(block_pink=replace(inside, touched=frozenset({"table", "robot"})))) == ()
+    task = ("push_into_drawer",)
+    assert done(start, state(block_pink=inside)) == task
+    for body in ("robot", "block_red"):
+        assert done(start, state(block_pink=replace(inside, touched=frozenset({"table", body})))) == task
+    assert done(start, state(block_pink=block(z=0.36, links=("base_link",)))) == ()
+    assert done(start, state(block_pink=held(z=0.36))) == ()
     touched = state(block_pink=block(bodies=("robot",)))
     assert done(touched, state(block_pink=inside)) == ()
     beside_another = state(block_pink=block(bodies=("block_red",)))

@@ -62,7 +62,7 @@ def environment():
 
 def do(environment, task, rng):
     """Steps of a scripted skill from the environment's state; the last answer, or None where it cannot be done."""
-    table, hand, scene = environment.table, Hand(environment.table, rng), environment.table.scene_obs()
+    table, hand, scene = environment.table, Hand(environment.table), environment.table.scene_obs()
     holds = task in PLACINGS
     held = [BLOCKS.index(block) for block in table.state().touched_by_robot]
     hand.grip = CLOSE if holds else OPEN
