@@ -7,6 +7,7 @@
     <name>/trials.py                    make(request): the episodes that policies are evaluated on (beso.envs.protocol)
     <name>/evaluation.py                how these episodes are played and scored
     <name>/report.py                    what only the report must know (beso.envs.reporting)
+    <name>/interface.py                 INTERFACE: what the numbers are that policies see and give (beso.interface)
 
 A spec may also have SINGLE_TASKS, those that a trial can ask for by itself; which of them trials ask for is then a
 parameter (`evaluation.tasks`). An environment that sees images has, instead of `record` and `published.py`,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from beso.envs.protocol import Evaluation, Importer, Raw, Recorder, Recording, TrialMaker
     from beso.envs.reporting import Report
     from beso.images.probe import Target
+    from beso.interface import Interface
 
 
 def names() -> list[str]:
@@ -65,6 +67,11 @@ def evaluation(name: str) -> Evaluation:
 def report(name: str) -> Report:
     """What the report must know of one environment."""
     return _part(name, "report")
+
+
+def interface(name: str) -> Interface:
+    """What the numbers are that policies of one environment see and give, in words."""
+    return _part(name, "interface").INTERFACE
 
 
 def recorder(name: str) -> Recorder:
