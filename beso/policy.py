@@ -33,6 +33,7 @@ from beso.errors import UserError
 from beso.files import read_json
 from beso.interface import PolicySpec
 
+LARGEST = 1e9  # of a raw number; with far larger ones, single precision overflows in a network
 EVALUATION = "evaluation.json"  # in a model's folder: `env`, and `sampling` by parameter
 
 log = logging.getLogger(__name__)
@@ -65,6 +66,8 @@ class BatchPolicy:
         with np.errstate(over="ignore"):
             single = np.asarray(numbers(what, array, (count, self.scaling.observation_size)), dtype=np.float32)
         finite(what, single)
+        if (largest := np.abs(single).max(initial=0.0)) > LARGEST:
+            raise UserError(f"{what} holds a number of size {largest:g}: must be at most {LARGEST:g}")
         if single.shape[1] <= max(self.scaling.visible):
             raise UserError(f"{what} has {single.shape[1]} columns, expected at least {max(self.scaling.visible) + 1}")
         return torch.from_numpy(single).to(self.device)

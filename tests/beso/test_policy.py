@@ -59,6 +59,14 @@ def test_a_policy_acts_in_finite_numbers_or_says_what_is_wrong(value):
     assert len(message.splitlines()) <= 1
 
 
+def test_numbers_that_would_overflow_are_named():
+    policy = Policy(LoadedModel(METHOD, SCALING, 1), CPU)
+    policy.reset(GOOD)
+    for value in ([0.0, -3.4e37, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1e10, 0.0, 0.0]):
+        _, message = attempt(policy.act, value)
+        assert message == f"observations holds a number of size {max(map(abs, value)):g}: must be at most 1e+09"
+
+
 @pytest.fixture
 def folder(make_job, spec, tmp_path):
     """A C-BESO of block push in a run's folder, untrained."""
