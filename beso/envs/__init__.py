@@ -22,9 +22,11 @@ parts of its own room alone.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import pkgutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,9 +110,24 @@ def _part(name: str, part: str) -> Any:
     if name not in names():
         raise UserError(f"environment {name!r} is not one of {', '.join(names())}")
     try:
-        return importlib.import_module(f"beso.envs.{name}.{part}")
-    except (ImportError, RuntimeError) as error:  # a package that is missing, or OpenGL settings that it refuses
-        settings = [f"{key}={os.environ[key]}" for key in ("MUJOCO_GL", "PYOPENGL_PLATFORM") if key in os.environ]
-        hint = f", with {' and '.join(settings)} in the environment" if settings else ""
+        with _no_opengl():
+            return importlib.import_module(f"beso.envs.{name}.{part}")
+    except (ImportError, RuntimeError) as error:  # a package that is missing, or refuses
         cause = str(error).strip().splitlines() or [type(error).__name__]
-        raise UserError(f"environment {name!r} cannot be loaded{hint}: {cause[0]}") from error
+        raise UserError(f"environment {name!r} cannot be loaded: {cause[0]}") from error
+
+
+@contextlib.contextmanager
+def _no_opengl() -> Iterator[None]:
+    """While MuJoCo is imported, it is told not to load OpenGL, whose settings may be wrong: few stages draw.
+
+    What draws loads it when it does, by the same settings.
+    """
+    chosen = os.environ.get("MUJOCO_GL")
+    os.environ["MUJOCO_GL"] = "off"
+    try:
+        yield
+    finally:
+        del os.environ["MUJOCO_GL"]
+        if chosen is not None:
+            os.environ["MUJOCO_GL"] = chosen
