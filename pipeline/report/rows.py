@@ -79,7 +79,7 @@ def read(
         scores = pd.to_numeric(rows[name], errors="coerce").to_numpy(dtype=float)
         if not np.isfinite(scores).all():
             wrong = int(np.argmin(np.isfinite(scores)))
-            raise UserError(f"{path}: {name} of row {wrong + 1} is {rows[name].iloc[wrong]!r}, no number: {again}")
+            raise UserError(f"{path}: {name} of row {wrong + 1} is {str(rows[name].iloc[wrong])!r}, no number: {again}")
     once(rows, keys, path)
     both = planned.astype(object).merge(rows[keys].astype(object), how="outer", indicator="where", sort=False)
     for side, problem in (("left_only", "lacks"), ("right_only", "has, unasked for,")):
