@@ -3,6 +3,7 @@
 Every mistake becomes one line with the key, the value and what is allowed.
 """
 
+import contextlib
 import dataclasses
 import math
 import types
@@ -15,6 +16,23 @@ Config = TypeVar("Config")
 
 
 LONGEST = 80  # characters of a wrong value that an error shows
+
+# The largest whole number that can be meant, by the name of a field, whichever configuration has it: what is above
+# would fill a disk or the memory, or never end.
+LARGEST = {
+    **dict.fromkeys(("width", "recognition_width", "prior_width", "decoder_width", "plan"), 1 << 15),
+    **dict.fromkeys(("layers", "recognition_layers", "prior_layers", "decoder_layers"), 1000),
+    **dict.fromkeys(("heads", "recognition_heads"), 1000),
+    **dict.fromkeys(("bins", "classes", "mixtures", "counter_examples", "candidates"), 1 << 20),
+    **dict.fromkeys(("window", "horizon", "replan", "context_length", "extra_steps", "iterations"), 10_000),
+    **dict.fromkeys(("diffusion_steps", "teacher_steps"), 10_000),
+    **dict.fromkeys(("steps", "updates", "every"), 10**9),
+    **dict.fromkeys(("batch_size", "batches", "windows"), 1 << 20),
+    **dict.fromkeys(("demonstrations", "rollouts", "length", "max_actions", "goal_horizon", "samples"), 10**6),
+    **dict.fromkeys(("chunk", "workers", "seeds_together", "repeats"), 10_000),
+    **dict.fromkeys(("size", "shift"), 4096),  # pixels
+    **dict.fromkeys(("seed", "seeds", "root_seed"), (1 << 63) - 1),
+}
 
 
 def shown(value: Any) -> str:
@@ -48,6 +66,10 @@ def build(cls: type[Config], values: Any, where: str) -> Config:
     if missing:
         raise UserError(f"{where}.{missing[0]} is missing: expected {_describe(hints[missing[0]])}")
     arguments = {key: _convert(hints[key], value, f"{where}.{key}") for key, value in values.items()}
+    for key, value in arguments.items():
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, int) and number > LARGEST.get(key, number):
+                raise UserError(f"{where}.{key} = {shown(value)}: must be at most {LARGEST[key]}")
     try:
         return cls(**arguments)
     except ValueError as error:
@@ -71,8 +93,10 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         return {str(key): _convert(arguments[1], item, f"{where}.{key}") for key, item in value.items()}
     if origin is Literal and value in arguments:
         return value
-    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
-        return float(value)
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        with contextlib.suppress(OverflowError):  # of an integer of hundreds of digits
+            if math.isfinite(value):
+                return float(value)
     if hint is int and isinstance(value, int) and not isinstance(value, bool):
         return value
     if hint in (str, bool) and isinstance(value, hint):

@@ -3,18 +3,24 @@
     policy = Policy.load("models/block_push/c_beso", seed=1)
     policy.reset(goal)
     action = policy.act(observation)      # in a loop
+    print(policy.spec)                    # what goals, observations and actions are
+
+A policy acts as it was evaluated. How that was stands in a file: `evaluation.json` in the model's folder, as archives
+and `beso train` have it, or, in a run's folder, `recipes/evaluate/ENV/METHOD.json` for models/ENV/METHOD.
 
 This needs torch, numpy and safetensors, and neither a simulator nor params.yaml.
 """
 
+import logging
 from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from beso import methods
+from beso import envs, methods
 from beso.checks import finite, numbers
 from beso.config import build
 from beso.core import checkpoint
@@ -24,6 +30,13 @@ from beso.core.noise import EpisodeNoise, Noise
 from beso.core.seeding import generator
 from beso.data.scaling import CLIP
 from beso.errors import UserError
+from beso.files import read_json
+from beso.interface import PolicySpec
+
+LARGEST = 1e9  # of a raw number; with far larger ones, single precision overflows in a network
+EVALUATION = "evaluation.json"  # in a model's folder: `env`, and `sampling` by parameter
+
+log = logging.getLogger(__name__)
 
 
 class BatchPolicy:
@@ -53,6 +66,8 @@ class BatchPolicy:
         with np.errstate(over="ignore"):
             single = np.asarray(numbers(what, array, (count, self.scaling.observation_size)), dtype=np.float32)
         finite(what, single)
+        if (largest := np.abs(single).max(initial=0.0)) > LARGEST:
+            raise UserError(f"{what} holds a number of size {largest:g}: must be at most {LARGEST:g}")
         if single.shape[1] <= max(self.scaling.visible):
             raise UserError(f"{what} has {single.shape[1]} columns, expected at least {max(self.scaling.visible) + 1}")
         return torch.from_numpy(single).to(self.device)
@@ -86,10 +101,22 @@ class BatchPolicy:
 
 
 class Policy:
-    """A trained policy that acts in one episode at a time."""
+    """A trained policy that acts in one episode at a time.
 
-    def __init__(self, loaded: checkpoint.LoadedModel, device: torch.device) -> None:
+    Attributes:
+        sampling: how it generates actions, the method's Sampling; None if the method's own default.
+        environment: the one that it was evaluated in; None if its folder does not tell.
+    """
+
+    def __init__(
+        self,
+        loaded: checkpoint.LoadedModel,
+        device: torch.device,
+        sampling: Any = None,
+        environment: str | None = None,
+    ) -> None:
         self._loaded, self._device = loaded, device
+        self.sampling, self.environment = sampling, environment
         self._batch: BatchPolicy | None = None
 
     @classmethod
@@ -101,21 +128,52 @@ class Policy:
         Args:
             folder: of the trained cell.
             seed: the model's number.
-            sampling: how to generate actions, as in params.yaml under `methods.<name>.sample`; None is the method's
-                default.
+            sampling: how to generate actions, as in params.yaml under `methods.<name>.sample`; None is as in the
+                evaluation, or, where nothing tells how that was (a line in the log says so), the method's default.
             device: "auto", "cpu", "cuda" or one GPU, "cuda:1".
 
         Raises:
             UserError: files are missing or damaged, or `sampling` is not one for this method.
         """
         folder, chosen = Path(folder).expanduser(), pick_device(device)
-        name = checkpoint.load_description(folder, seed)["job"]["method"]
-        kind = methods.sampling(name)
-        if sampling is None:
-            chosen_sampling = kind.default(checkpoint.config(folder, seed))
-        else:
+        config = checkpoint.config(folder, seed)
+        kind = methods.sampling(checkpoint.load_description(folder, seed)["job"]["method"])
+        path = _evaluation(folder)
+        evaluated = read_json(path) if path else {}
+        if sampling is not None:
             chosen_sampling = build(kind, sampling, "sampling")
-        return cls(checkpoint.load(folder, seed, chosen_sampling, chosen), chosen)
+        elif path:
+            chosen_sampling = build(kind, evaluated.get("sampling"), f"{path}: sampling")
+        else:
+            chosen_sampling = kind.default(config)
+            if fields(kind):  # type: ignore[arg-type]
+                log.warning("%s does not tell how its policy was sampled when it was evaluated: a default is", folder)
+        environment = evaluated.get("env")
+        if environment is not None and environment not in envs.names():
+            raise UserError(f"{path} is damaged: env = {environment!r} is not one of {', '.join(envs.names())}")
+        loaded = checkpoint.load(folder, seed, chosen_sampling, chosen)
+        if environment is not None and loaded.scaling.observation_size is None:
+            size = envs.spec(environment).observation_size
+            loaded = replace(loaded, scaling=replace(loaded.scaling, observation_size=size))
+        return cls(loaded, chosen, chosen_sampling, environment)
+
+    @property
+    def spec(self) -> PolicySpec:
+        """What goals, observations and actions are: sizes, order, units. `print` shows it."""
+        loaded = self._loaded
+        scaling, shape = loaded.scaling, loaded.observation_shape
+        masked = {scaling.visible[i] for i in scaling.goal_masked}
+        return PolicySpec(
+            environment=self.environment,
+            observation_shape=shape,
+            goal_shape=(loaded.goal_window, *shape),
+            action_shape=(len(scaling.action_low),),
+            frames=loaded.frame_size is not None,
+            interface=envs.interface(self.environment) if self.environment else None,
+            seen=scaling.visible,
+            seen_of_goals=tuple(i for i in scaling.visible if i not in masked),
+            sampling=asdict(self.sampling) if self.sampling else {},
+        )
 
     def reset(self, goal: np.ndarray, seed: int = 0) -> None:
         """Start an episode.
@@ -147,3 +205,12 @@ class Policy:
         return self._batch.act(numbers("observation", observation, self._loaded.observation_shape)[None], self._noise)[
             0
         ]
+
+
+def _evaluation(folder: Path) -> Path | None:
+    """The file that tells how the policy of a model's folder is evaluated; None if there is none."""
+    whole = folder.absolute()
+    places = [folder / EVALUATION]
+    if whole.parts[-3:-2] == ("models",):
+        places.append(whole.parents[2].joinpath("recipes", "evaluate", *whole.parts[-2:]).with_suffix(".json"))
+    return next((place for place in places if place.is_file()), None)

@@ -177,6 +177,19 @@ def watch(cell: str, models: Path, seed: int, episode: int, run: Path, film: Pat
 
 
 @cli.command()
+@click.argument("folder", type=At())
+@click.option("--seed", type=int, default=1, show_default=True, help="The trained model.")
+def spec(folder: Path, seed: int) -> None:
+    """Print what a trained policy takes and gives, and how it is sampled.
+
+    FOLDER is the policy's, like models/block_push/c_beso: sizes, order and units of its observations, goals, actions.
+    """
+    from beso.policy import Policy
+
+    print(Policy.load(folder, seed, device="cpu").spec)
+
+
+@cli.command()
 @click.argument("a", type=Run())
 @click.argument("b", type=Run())
 @click.option("--markdown", is_flag=True, help="Print a Markdown table.")

@@ -7,7 +7,6 @@ Episodes are paired by seed, goal set and number, so that what both runs share (
 does not blur the difference. `dvc metrics diff` shows means alone.
 """
 
-import io
 import math
 import subprocess
 from collections.abc import Callable, Iterator
@@ -24,6 +23,7 @@ from pipeline.profile import leaves
 from pipeline.recipes import CellPaths
 from pipeline.report.comparison import verdict
 from pipeline.report.names import value
+from pipeline.report.rows import once, parse
 from pipeline.report.statistics import PAIRS, Estimate, difference, of_difference, over_seeds
 from pipeline.report.tables import number
 from pipeline.yaml import parse_yaml
@@ -89,29 +89,18 @@ def load(name: str) -> Run:
 def _episodes(read: Read, params: dict[str, Any]) -> Iterator[tuple[Source, pd.DataFrame]]:
     """Rows of evaluations, then of studies, sampling by sampling, in the order of the parameters."""
     for cell in params["cells"].values():
-        rows = _rows(read, CellPaths(cell["env"], cell["method"]).episodes)
-        if rows is not None and cell["env"] in envs.names():
-            yield Source(cell["env"], cell["method"], ""), rows
+        path = CellPaths(cell["env"], cell["method"]).episodes
+        text = read(path)
+        if text is not None and cell["env"] in envs.names():
+            yield Source(cell["env"], cell["method"], ""), once(parse(text, path), PAIRS, path)
     for name, study in (params.get("studies") or {}).items():
         varied = list(study["vary"])
-        rows = _rows(read, Path("results/studies") / f"{name}.csv")
-        if rows is not None and {*varied} <= {*rows.columns}:
-            for values, part in rows.groupby(varied, sort=False, dropna=False):
+        path = Path("results/studies") / f"{name}.csv"
+        text = read(path)
+        if text is not None and {*varied} <= {*(rows := parse(text, path)).columns}:
+            for values, part in once(rows, [*varied, *PAIRS], path).groupby(varied, sort=False, dropna=False):
                 changes = ", ".join(value(None if pd.isna(v) else v) for v in values)
                 yield Source(study["env"], study["method"], f"{name}: {changes}"), part
-
-
-def _rows(read: Read, path: Path) -> pd.DataFrame | None:
-    text = read(path)
-    if text is None:
-        return None
-    try:
-        rows = pd.read_csv(io.StringIO(text))
-    except pd.errors.EmptyDataError:
-        raise UserError(f"{path} is empty: remove it or make it again") from None
-    if missing := [name for name in PAIRS if name not in rows]:
-        raise UserError(f"{path} has no column {missing[0]}: remove it or make it again")
-    return rows
 
 
 def _folder(folder: Path) -> Read:

@@ -33,5 +33,5 @@ def parse_yaml(text: str, where: str) -> Any:
         raise UserError(f"{where} has git's merge markers (<<<<<<<): resolve the conflict first")
     try:
         return YAML(typ="safe").load(text)
-    except (YAMLError, RecursionError) as error:
+    except (YAMLError, ValueError, RecursionError) as error:
         raise UserError(f"{where} is not valid YAML: {' '.join(str(error).split())}") from None

@@ -19,7 +19,7 @@ OF_IMAGES = {"preprocess", "features"}  # stages of these alone
 # Not among the deps: what checks parameters (their values are tracked themselves), moves files, writes messages, starts
 # workers or imports by name. Imports are not followed through these files either.
 MACHINERY = {p.relative_to(ROOT) for p in (ROOT / "pipeline").glob("*.py") if p.name not in ("film.py", "play.py")}
-MACHINERY |= {Path("beso") / name for name in ("checks.py", "config.py", "errors.py", "files.py")}
+MACHINERY |= {Path("beso") / name for name in ("checks.py", "config.py", "errors.py", "files.py", "interface.py")}
 MACHINERY |= {Path("beso") / name / "__init__.py" for name in ("envs", "methods")}
 
 

@@ -7,6 +7,7 @@
     <name>/trials.py                    make(request): the episodes that policies are evaluated on (beso.envs.protocol)
     <name>/evaluation.py                how these episodes are played and scored
     <name>/report.py                    what only the report must know (beso.envs.reporting)
+    <name>/interface.py                 INTERFACE: what the numbers are that policies see and give (beso.interface)
 
 A spec may also have SINGLE_TASKS, those that a trial can ask for by itself; which of them trials ask for is then a
 parameter (`evaluation.tasks`). An environment that sees images has, instead of `record` and `published.py`,
@@ -21,9 +22,11 @@ parts of its own room alone.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import pkgutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
     from beso.envs.protocol import Evaluation, Importer, Raw, Recorder, Recording, TrialMaker
     from beso.envs.reporting import Report
     from beso.images.probe import Target
+    from beso.interface import Interface
 
 
 def names() -> list[str]:
@@ -65,6 +69,11 @@ def evaluation(name: str) -> Evaluation:
 def report(name: str) -> Report:
     """What the report must know of one environment."""
     return _part(name, "report")
+
+
+def interface(name: str) -> Interface:
+    """What the numbers are that policies of one environment see and give, in words."""
+    return _part(name, "interface").INTERFACE
 
 
 def recorder(name: str) -> Recorder:
@@ -101,9 +110,24 @@ def _part(name: str, part: str) -> Any:
     if name not in names():
         raise UserError(f"environment {name!r} is not one of {', '.join(names())}")
     try:
-        return importlib.import_module(f"beso.envs.{name}.{part}")
-    except (ImportError, RuntimeError) as error:  # a package that is missing, or OpenGL settings that it refuses
-        settings = [f"{key}={os.environ[key]}" for key in ("MUJOCO_GL", "PYOPENGL_PLATFORM") if key in os.environ]
-        hint = f", with {' and '.join(settings)} in the environment" if settings else ""
+        with _no_opengl():
+            return importlib.import_module(f"beso.envs.{name}.{part}")
+    except (ImportError, RuntimeError) as error:  # a package that is missing, or refuses
         cause = str(error).strip().splitlines() or [type(error).__name__]
-        raise UserError(f"environment {name!r} cannot be loaded{hint}: {cause[0]}") from error
+        raise UserError(f"environment {name!r} cannot be loaded: {cause[0]}") from error
+
+
+@contextlib.contextmanager
+def _no_opengl() -> Iterator[None]:
+    """While MuJoCo is imported, it is told not to load OpenGL, whose settings may be wrong: few stages draw.
+
+    What draws loads it when it does, by the same settings.
+    """
+    chosen = os.environ.get("MUJOCO_GL")
+    os.environ["MUJOCO_GL"] = "off"
+    try:
+        yield
+    finally:
+        del os.environ["MUJOCO_GL"]
+        if chosen is not None:
+            os.environ["MUJOCO_GL"] = chosen

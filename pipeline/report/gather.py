@@ -10,11 +10,10 @@ import pandas as pd
 from beso import envs
 from beso.data import play
 from beso.envs.reporting import Summary
-from beso.errors import UserError
 from beso.files import read_json, write_json, write_text
 from pipeline import paths
 from pipeline.params import Params
-from pipeline.report import figures, hyperparameters, studies, tables
+from pipeline.report import figures, hyperparameters, rows, studies, tables
 from pipeline.report.comparison import compare, of_cells, places
 
 SUMMARY = "summary.json"  # what archived runs have of play data
@@ -46,8 +45,16 @@ def gather(params: Params, root: Path = Path()) -> dict[str, Any]:
     """
     summaries = {env: summary(root, env) for env in params.envs}
     sources = {env: SOURCES.get(str(of["source"]), str(of["source"])) for env, of in summaries.items()}
-    episodes = {name: _rows(root / cell.episodes, f"evaluate@{name}") for name, cell in params.cells.items()}
-    of_studies = {name: _rows(root / study.recipe.rows, f"study@{name}") for name, study in params.studies.items()}
+    episodes = {
+        name: rows.read(root / cell.episodes, f"evaluate@{name}", cell.env, told.seeds, told.evaluation)
+        for name, cell in params.cells.items()
+        if (told := cell.evaluate)
+    }
+    of_studies = {
+        name: rows.read(root / of.rows, f"study@{name}", of.env, of.seeds, of.evaluation, of.changes)
+        for name, study in params.studies.items()
+        if (of := study.recipe)
+    }
     played = {
         env: {params.labels[cell.method]: episodes[cell.name] for cell in params.cells_in(env)} for env in params.envs
     }
@@ -75,14 +82,6 @@ def gather(params: Params, root: Path = Path()) -> dict[str, Any]:
     }
 
 
-def _rows(path: Path, stage: str) -> pd.DataFrame:
-    """Rows that a stage wrote. Raises UserError if they are missing."""
-    if not path.is_file():
-        raise UserError(f"{path} is missing: run `dvc repro {stage}`")
-    # Lists of tasks: a column of single tasks and gaps would be read as decimal numbers.
-    return pd.read_csv(path, dtype={"tasks": str, "goal_tasks": str})
-
-
 def summary(root: Path, environment: str) -> Summary:
     """What the report shows of a run's play data, and their `source`: from the data, or as archived."""
     folder = root / paths.play(environment)
@@ -100,8 +99,8 @@ def metrics(comparison: pd.DataFrame, episodes: dict[str, pd.DataFrame]) -> dict
     """
     found: dict[str, dict[str, Any]] = {}
     for row in of_cells(comparison).itertuples():
-        rows = episodes[f"{row.environment}-{row.method}"]
-        length = rows.loc[rows["goals"] == row.goals, "length"].mean()
+        of_cell = episodes[f"{row.environment}-{row.method}"]
+        length = of_cell.loc[of_cell["goals"] == row.goals, "length"].mean()
         cell = found.setdefault(row.environment, {}).setdefault(row.method, {})
         scores = cell.setdefault(f"{row.goals}_goals", {"length": round(float(length), 1)})
         scores[row.metric] = round(row.ours, 4)

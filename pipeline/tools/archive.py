@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from beso.errors import UserError
-from beso.files import read_json
+from beso.files import read_json, write_json
+from beso.policy import EVALUATION
 from pipeline import paths
 from pipeline.params import PATH, Cell, Params
 from pipeline.profile import leaves
@@ -67,6 +68,11 @@ def _leaves(told: dict[str, Any]) -> dict[str, Any]:
     """The leaves of what stages are told, as JSON has them."""
     plain = {key: asdict(value) if is_dataclass(value) else value for key, value in told.items()}  # type: ignore[arg-type]
     return dict(leaves(json.loads(json.dumps(plain))))
+
+
+def write_evaluation(cell: Cell, folder: Path) -> None:
+    """Write into a model's folder how its policy is sampled in the evaluation, for `Policy.load`."""
+    write_json(folder / EVALUATION, {"env": cell.env, "sampling": asdict(cell.evaluate.sampling)})
 
 
 def held(folder: Path, available: dict[str, Part]) -> list[Part]:

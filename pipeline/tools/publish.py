@@ -12,7 +12,8 @@ the first ones, and of weights those of the first seed where `--weights METHOD` 
 
     beso publish --weights c_beso
 
-`beso watch CELL --run FOLDER` films these. `--drop NAME` takes out a stage or an environment.
+`beso watch CELL --run FOLDER` films these, `Policy.load` acts with them as the evaluation sampled them, which
+`evaluation.json` beside them tells. `--drop NAME` takes out a stage or an environment.
 """
 
 import json
@@ -35,7 +36,7 @@ from pipeline.params import PATH, Params, load
 from pipeline.report.gather import SUMMARY, summary, write_tables
 from pipeline.report.page import versions
 from pipeline.run import plan
-from pipeline.tools.archive import Part, check, held, parts, restricted
+from pipeline.tools.archive import Part, check, held, parts, restricted, write_evaluation
 
 FOLDER = paths.REPORTS / "published"
 LARGEST = 2_000_000  # bytes of a file of weights: git keeps every version for ever
@@ -145,6 +146,8 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
     with replacing(folder) as temporary:
         for part in there:
             kept = [path for path in weights(part) if (folder / path).is_file()]
+            if part.cell and part.is_cell:
+                write_evaluation(part.cell, temporary / part.cell.models)
             if part not in new:
                 _copy([*files(part), part.record, *kept], folder, temporary)
                 continue

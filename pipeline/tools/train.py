@@ -5,6 +5,7 @@ scikit-learn), this repository, params.yaml, and data/play/ENV of the cells' env
 its time is over it saves what is unfinished; the same command continues. In the folder are, for every seed,
 
     ENV/METHOD/seed1-FINGERPRINT/seed1.safetensors, seed1.json    the model, as in models/ENV/METHOD
+    ENV/METHOD/seed1-FINGERPRINT/evaluation.json                  how params.yaml samples it, for `Policy.load`
     ENV/METHOD/seed1-FINGERPRINT/state.safetensors                unfinished
     ENV/METHOD/seed1-FINGERPRINT/curve.csv                        losses by step
 
@@ -35,6 +36,7 @@ from beso.files import write_text
 from pipeline import pool, scratch
 from pipeline.machine import Machine
 from pipeline.params import Cell, Params, load
+from pipeline.tools.archive import write_evaluation
 from stages.train import STATE, identity, train_seeds
 
 
@@ -95,6 +97,7 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
             raise UserError(f"{cell} needs the package {error.name}: install it, or leave this cell out") from None
         for job, folder in zip(group, folders, strict=True):
             write_text(folder / "curve.csv", _csv(_curve(folder, job.seed)))
+            write_evaluation(params.cells[cell], folder)
         if not done:
             return False
     return True

@@ -56,6 +56,8 @@ def test_builds_every_kind_of_field():
 
 
 def test_whole_numbers_are_numbers():
+    with pytest.raises(UserError, match=r"p\.rate = 10+\.\.\.: expected a finite number"):
+        build(Inner, {"rate": 10**400, "kind": "a"}, "p")
     built = build(Inner, {"rate": 0, "kind": "a"}, "p")
     assert isinstance(built.rate, float)
 
@@ -132,3 +134,25 @@ def test_a_long_wrong_value_is_cut():
     with pytest.raises(UserError) as error:
         build(Outer, "x" * 10_000, "p")
     assert str(error.value) == f"p = {repr('x' * 10_000)[:80]}...: expected a mapping"
+
+
+@dataclass(frozen=True)
+class Sizes:
+    batch_size: int = 1
+    batches: tuple[int, ...] = ()
+    size: int | None = None
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"batch_size": 10**12}, "p.batch_size = 1000000000000: must be at most 1048576"),
+        ({"batches": [1, 10**9]}, "p.batches = (1, 1000000000): must be at most 1048576"),
+        ({"size": 10**400}, "p.size = 1" + "0" * 79 + "...: must be at most 4096"),
+    ],
+)
+def test_numbers_that_cannot_be_meant_are_refused(values, message):
+    with pytest.raises(UserError) as caught:
+        build(Sizes, values, "p")
+    assert str(caught.value) == message
+    assert build(Sizes, {"batch_size": 1 << 20, "size": None}, "p").batch_size == 1 << 20

@@ -1,17 +1,23 @@
 """Whatever is handed to a policy, it acts in finite numbers or says in one line why it cannot."""
 
+import logging
+from dataclasses import asdict
+
 import numpy as np
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from beso.core import checkpoint
 from beso.core.checkpoint import LoadedModel
 from beso.data.scaling import Scaling
 from beso.data.spec import Sizes
 from beso.errors import UserError
-from beso.methods import gcbc
-from beso.policy import Policy
+from beso.files import write_json
+from beso.methods import c_beso, gcbc
+from beso.policy import EVALUATION, Policy
 
 WIDTH, CPU = 6, torch.device("cpu")
 SIZES = Sizes(observation=4, action=2, goal_window=1)
@@ -51,3 +57,87 @@ def test_a_policy_acts_in_finite_numbers_or_says_what_is_wrong(value):
         assert np.isfinite(policy.act(GOOD)).all()
     assert message == "" or message.startswith("goal")
     assert len(message.splitlines()) <= 1
+
+
+def test_numbers_that_would_overflow_are_named():
+    policy = Policy(LoadedModel(METHOD, SCALING, 1), CPU)
+    policy.reset(GOOD)
+    for value in ([0.0, -3.4e37, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1e10, 0.0, 0.0]):
+        _, message = attempt(policy.act, value)
+        assert message == f"observations holds a number of size {max(map(abs, value)):g}: must be at most 1e+09"
+
+
+@pytest.fixture
+def folder(make_job, spec, tmp_path):
+    """A C-BESO of block push in a run's folder, untrained."""
+    job, folder = make_job("c_beso"), tmp_path / "models/block_push/c_beso"
+    method = c_beso.Method(job.config.model, None, spec.sizes, torch.Generator().manual_seed(0))
+    n, a = len(spec.visible), spec.action_size
+    scaling = Scaling(spec.visible, spec.goal_masked, (0.0,) * n, (1.0,) * n, (-1.0,) * a, (1.0,) * a)
+    checkpoint.save(folder, job, spec.sizes, checkpoint.TrainedModel(method.state_dict(), scaling, []), "digest")
+    return folder
+
+
+def test_a_policy_acts_as_it_was_evaluated_unless_told_otherwise(folder, small_models, tmp_path, caplog):
+    own = small_models["c_beso"][1]
+    with caplog.at_level(logging.WARNING):
+        default = Policy.load(folder, device="cpu")
+    assert "does not tell how its policy was sampled" in caplog.text
+    caplog.clear()
+    recipe = tmp_path / "recipes/evaluate/block_push/c_beso.json"
+    write_json(recipe, {"env": "block_push", "method": "c_beso", "sampling": {**own, "steps": 5}})
+    of_recipe = Policy.load(folder, device="cpu")
+    assert asdict(of_recipe.sampling) == {**own, "steps": 5}
+    assert asdict(Policy.load(folder, sampling={**own, "steps": 2}).sampling)["steps"] == 2
+    write_json(folder / EVALUATION, {"env": "block_push", "sampling": {**own, "steps": 7}})
+    assert asdict(Policy.load(folder).sampling)["steps"] == 7, "the folder's own comes first"
+    assert caplog.text == ""
+    goal, acted = np.ones(16), []
+    for policy in (default, of_recipe):
+        policy.reset(goal)
+        acted.append(policy.act(np.zeros(16)))
+    told = Policy.load(folder, sampling={**own, "steps": 5}, device="cpu")
+    told.reset(goal)
+    assert np.array_equal(told.act(np.zeros(16)), acted[1])
+    assert not np.array_equal(*acted)
+
+
+def test_a_folder_below_the_home_is_found(folder, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert Policy.load("~/models/block_push/c_beso").spec.goal_shape == (1, None)
+
+
+@pytest.mark.parametrize(
+    ("evaluation", "message"),
+    [
+        ({"env": "moon", "sampling": None}, "sampling = None: expected a mapping"),
+        ({"env": "moon", "sampling": "own"}, "env = 'moon' is not one of block_push, "),
+        ({"env": 5, "sampling": "own"}, "env = 5 is not one of"),
+        ({"env": "block_push", "sampling": {"steps": 3}}, "sampling.sampler is missing"),
+    ],
+)
+def test_a_damaged_evaluation_is_one_line(folder, small_models, evaluation, message):
+    if evaluation["sampling"] == "own":
+        evaluation["sampling"] = small_models["c_beso"][1]
+    write_json(folder / EVALUATION, evaluation)
+    with pytest.raises(UserError, match=r"evaluation\.json") as caught:
+        Policy.load(folder)
+    assert message in str(caught.value)
+
+
+def test_the_spec_tells_what_the_arrays_are(folder, small_models, spec):
+    unknown = Policy.load(folder).spec
+    assert (unknown.environment, unknown.observation_shape, unknown.interface) == (None, (None,), None)
+    assert "observation: (any,)" in str(unknown)
+    write_json(folder / EVALUATION, {"env": "block_push", "sampling": small_models["c_beso"][1]})
+    policy = Policy.load(folder)
+    told = policy.spec
+    assert (told.observation_shape, told.goal_shape, told.action_shape) == ((16,), (1, 16), (2,))
+    assert told.seen == spec.visible
+    assert told.seen_of_goals == (0, 1, 3, 4)
+    lines = str(told).splitlines()
+    assert "    10-11   target 1, x and y (m); not seen" in lines
+    assert "    0-1     shift of the effector's target, x and y (m)" in lines
+    policy.reset(np.zeros(16))
+    with pytest.raises(UserError, match=r"observation has shape \(15,\), expected \(16,\)"):
+        policy.act(np.zeros(15))

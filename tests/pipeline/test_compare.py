@@ -164,3 +164,11 @@ def test_revisions_have_episodes_through_dvc(small):
     assert (done.returncode, done.stdout.startswith("error: HEAD: no results there: run `dvc repro`")) == (1, True)
     done = small.beso("compare", ".", "nothing", check=False)
     assert (done.returncode, done.stdout) == (1, "error: nothing: neither a folder nor a git revision\n")
+
+
+def test_an_episode_that_is_there_twice_is_refused(run):
+    whole = episodes(0.5)
+    cell, study = run("a", {"gcbc": pd.concat([whole, whole[:1]])}), run("b", {}, {"ddim": pd.concat([whole, whole])})
+    for folder, name in ((cell, "block_push/gcbc.csv has seed 1"), (study, "solvers.csv has sampler ddim, seed 1")):
+        with pytest.raises(UserError, match=rf"{name}, goals training, episode 0 twice"):
+            compare.load(folder)

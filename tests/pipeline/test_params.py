@@ -9,6 +9,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from beso import envs
+from beso.config import LARGEST
 from beso.errors import UserError
 from beso.files import write_json
 from pipeline import params, profile, recipes, settings, yaml
@@ -114,6 +115,9 @@ def cell(env, method, of=None, source=None):
         ((*MODEL, "width"), "wide", r"transformer\.width = 'wide': expected an integer"),
         ((*MODEL, "width"), 16.0, r"transformer\.width = 16\.0: expected an integer"),
         ((*OPTIMIZATION, "learning_rate"), "1e-3", r"learning_rate = '1e-3': expected a finite number"),
+        ((*OPTIMIZATION, "batch_size"), 10**12, r"optimization\.batch_size = 10+: must be at most 1048576"),
+        ((*BLOCK_PUSH, "collect", "demonstrations"), 10**18, r"collect\.demonstrations = 10+: must be at most 1000000"),
+        (("environments", "calvin", "collect", "camera", "size"), 10**9, r"size = 10+: must be at most 4096"),
         ((*OPTIMIZATION, "optimizer"), "sgd", r"optimizer = 'sgd': expected one of adam, adamw, muon"),
         ((*OPTIMIZATION, "steps"), True, r"steps = True: expected an integer"),
         ((*ALL, "evaluation", "rollouts"), 0, r"\.all_environments\.evaluation: rollouts = 0: must be at least 1"),
@@ -330,10 +334,12 @@ def test_unreadable_files_are_one_line(tmp_path):
     file = tmp_path / "params.yaml"
     with pytest.raises(UserError, match="is missing"):
         yaml.read_yaml(file)
-    file.write_text("a: [1,\nb: 2")
-    with pytest.raises(UserError, match="is not valid YAML") as error:
-        yaml.read_yaml(file)
-    assert "\n" not in str(error.value)
+    for text in ("a: [1,\nb: 2", f"a: {'9' * 5000}", "a: !!int x", "[" * 5000, "a: 2020-13-45"):
+        file.write_text(text)
+        with pytest.raises(UserError, match="is not valid YAML") as error:
+            yaml.read_yaml(file)
+        assert "\n" not in str(error.value)
+        assert len(str(error.value)) < 400
 
 
 @pytest.mark.parametrize(
@@ -378,3 +384,13 @@ def test_profiles_build_on_each_other(tmp_path, monkeypatch):
     file.write_text("profile: mine\nextends: other\n")
     with pytest.raises(UserError, match="profile 'other' is not one of cpu, gpu, mine, paper, quick, smoke"):
         profile.render("mine")
+
+
+def test_every_whole_number_of_params_has_a_largest_value():
+    """One that is in no table could be any."""
+    unlimited = {"guidance_scale"}  # a number with decimals, given without
+    for name in PROFILES:
+        for key, value in profile.leaves(YAML(typ="safe").load(profile.render(name))):
+            numbers = value if isinstance(value, list) else [value]
+            if "vary" not in key and any(type(number) is int for number in numbers):
+                assert key.rpartition(".")[2] in {*LARGEST, *unlimited}, key

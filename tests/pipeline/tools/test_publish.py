@@ -3,7 +3,7 @@
 import json
 import shutil
 import subprocess
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +14,16 @@ import safetensors.torch
 from beso import envs
 from beso.core import checkpoint
 from beso.errors import UserError
-from beso.policy import Policy
+from beso.files import read_json
+from beso.policy import EVALUATION, Policy
 from pipeline.params import PATH, load
 from pipeline.report import figures
 from pipeline.tools import publish
 
 COMMITTED = sorted((Path(__file__).parents[3] / publish.FOLDER).iterdir())
+COMMITTED_WEIGHTS = [
+    path.relative_to(COMMITTED[0].parent) for run in COMMITTED for path in run.glob("models/*/*/*.safetensors")
+]
 ARCHIVE = "reports/published/smoke"
 WEIGHTS = [f"models/{environment}/c_beso/seed1.safetensors" for environment in ("block_push", "calvin", "kitchen")]
 ENCODER = "data/play/calvin/encoder.safetensors"
@@ -59,7 +63,20 @@ def test_todays_code_knows_the_parameters_and_models_of_a_committed_archive(arch
     for description in descriptions:
         environment, method = description.parts[-3:-1]
         seed = int(description.stem.removeprefix("seed"))
-        checkpoint.check(description.parent, replace(params.cell(environment, method).train.first, seed=seed))
+        cell = params.cell(environment, method)
+        checkpoint.check(description.parent, replace(cell.train.first, seed=seed))
+        evaluated = {"env": environment, "sampling": asdict(cell.evaluate.sampling)}
+        assert read_json(description.parent / EVALUATION) == json.loads(json.dumps(evaluated))
+
+
+@pytest.mark.parametrize("weights", COMMITTED_WEIGHTS, ids=str)
+def test_policies_of_a_committed_archive_are_sampled_as_they_were_evaluated(weights):
+    folder = COMMITTED[0].parent / weights.parent
+    archive, _, environment, method = weights.parent.parts
+    policy = Policy.load(folder, device="cpu")
+    assert policy.sampling == load(COMMITTED[0].parent / archive / PATH).cell(environment, method).evaluate.sampling
+    assert policy.spec.environment == environment
+    assert policy.spec.observation_shape == (envs.spec(environment).observation_size,)
 
 
 def test_the_archive_of_a_whole_run_has_the_tables_of_the_run(archived):
@@ -193,6 +210,8 @@ def test_policies_of_an_archive_act_as_they_did(archived):
         stored = safetensors.torch.load_file(archived.folder / ARCHIVE / folder / "seed1.safetensors")
         assert {str(value.dtype) for value in stored.values()} <= {"torch.float16", "torch.int64"}
         policies = [Policy.load(archived.folder / root / folder, device="cpu") for root in ("", ARCHIVE)]
+        evaluated = read_json(archived.folder / f"recipes/evaluate/{environment}/c_beso.json")["sampling"]
+        assert [asdict(policy.sampling) for policy in policies] == [evaluated, evaluated]
         data = archived.folder / "data/play" / environment
         observations, actions = (np.load(data / f"{name}.npy") for name in ("observations", "actions"))
         acted = []
