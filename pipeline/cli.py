@@ -9,7 +9,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import click
+try:
+    import click
+except ImportError:
+    raise SystemExit("error: the command needs the pipeline's packages: pip install '.[pipeline]'") from None
 
 from beso.errors import UserError
 from pipeline.stage import guard

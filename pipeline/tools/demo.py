@@ -131,7 +131,7 @@ def side_by_side(films: Sequence[Path], target: Path) -> None:
     pictures = [np.hstack([frames[min(i, len(frames) - 1)] for frames in shown]) for i in range(max(map(len, shown)))]
     animation = cv2.Animation()
     animation.frames = pictures
-    animation.durations = np.full(len(pictures), 1000 * SKIPPED // (2 * FRAMES_PER_SECOND), dtype=np.int32)
+    animation.durations = [1000 * SKIPPED // (2 * FRAMES_PER_SECOND)] * len(pictures)  # ms, at twice the films' speed
     with replacing(target) as temporary:
         written = temporary.with_suffix(".webp")  # OpenCV takes the format from it
         cv2.imwriteanimation(str(written), animation, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
