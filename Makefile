@@ -1,11 +1,12 @@
-# `make reproduce` regenerates everything, `make test` runs the tests; both set up .venv first. PYTHON is 3.11.
+# `make demo` shows the archived policies, `make reproduce` makes everything, `make test` runs the tests. Each sets up
+# .venv first. PYTHON is 3.11.
 # `beso lock` renews constraints/ from the environment that is installed.
 PYTHON ?= $(firstword $(foreach name,python3.11 python3,$(if $(shell command -v $(name)),$(name))))
 CONSTRAINTS := constraints/results.txt constraints/tools.txt
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: setup reproduce test check clean
+.PHONY: setup demo reproduce test check clean
 
 setup: $(BIN)/.installed
 
@@ -16,6 +17,9 @@ $(BIN)/.installed: pyproject.toml $(CONSTRAINTS)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet $(addprefix -c ,$(CONSTRAINTS)) --editable '.[dev]'
 	touch $@
+
+demo: setup
+	beso demo
 
 reproduce: setup
 	beso check

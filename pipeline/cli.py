@@ -9,7 +9,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import click
+try:
+    import click
+except ImportError:
+    raise SystemExit("error: the command needs the pipeline's packages: pip install '.[pipeline]'") from None
 
 from beso.errors import UserError
 from pipeline.stage import guard
@@ -93,12 +96,28 @@ def cli() -> None:
     its cells (train) or one (train@block_push-c_beso).
 
     \b
+    Watch it first:        beso demo
     All of it:             beso run -j 2
     One policy by hand:    beso run trials@block_push
                            beso train block_push-c_beso --seed 1
                            beso evaluate block_push-c_beso --seed 1 --models trained
                            beso watch block_push-c_beso --models trained
     """
+
+
+@cli.command()
+@path("--run", "reports/published/cpu", "An archived run that keeps C-BESO's weights.")
+@click.option("--episodes", type=click.IntRange(min=1), default=5, show_default=True, help="In each environment.")
+@path("--out", "demo", "Folder for the films.")
+@path("--picture", None, "File for all films side by side, an animated WebP.")
+def demo(run: Path, episodes: int, out: Path, picture: Path | None) -> None:
+    """Watch an archived C-BESO in every environment.
+
+    It trains nothing. In each environment it films the first episode that reaches its goal.
+    """
+    from pipeline.tools.demo import demo
+
+    demo(run, episodes, out, picture)
 
 
 @cli.command()

@@ -13,7 +13,7 @@ from beso.envs.reporting import Summary
 from beso.files import read_json, write_json, write_text
 from pipeline import paths
 from pipeline.params import Params
-from pipeline.report import figures, hyperparameters, rows, studies, tables
+from pipeline.report import figures, hyperparameters, readme, rows, studies, tables
 from pipeline.report.comparison import compare, of_cells, places
 
 SUMMARY = "summary.json"  # what archived runs have of play data
@@ -21,7 +21,7 @@ SOURCES = {"scripted": "scripted demonstrations made here"}  # of play data, in 
 
 
 def write_tables(params: Params, root: Path, folder: Path) -> None:
-    """Write LaTeX tables, comparison, metrics and figures into a folder.
+    """Write LaTeX tables, comparison, metrics, figures, and README.md, which shows them, into a folder.
 
     Args:
         params, root: see `gather`.
@@ -29,6 +29,7 @@ def write_tables(params: Params, root: Path, folder: Path) -> None:
     values = gather(params, root)
     values["captions"] = figures.draw_all(params, values, folder / "figures")
     write_text(folder / "tables.tex", tables.render("tables.tex.j2", values))
+    write_text(folder / "README.md", readme.render(values))
     write_text(folder / "comparison.csv", values["comparison"].to_csv(index=False, float_format="%.6g"))
     write_json(folder / "metrics.json", metrics(values["comparison"], values["episodes"]))
 

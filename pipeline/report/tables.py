@@ -24,14 +24,14 @@ LATEX: dict[str, Any] = {
 
 def render(template: str, values: dict[str, Any]) -> str:
     """The text of a template. Marks of LaTeX templates are \\VAR{...} and \\BLOCK{...}."""
-    latex = template.endswith(".tex.j2")
+    latex, html = template.endswith(".tex.j2"), template.endswith(".html.j2")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
-        autoescape=not latex,
-        keep_trailing_newline=latex,
+        autoescape=html,
+        keep_trailing_newline=not html,
         **(LATEX if latex else {}),
     )
     return environment.get_template(template).render(values)

@@ -1,0 +1,62 @@
+"""The README stays short, and what it shows is there."""
+
+import re
+from pathlib import Path
+
+import pandas as pd
+
+from pipeline import profile
+from pipeline.cli import cli
+from pipeline.report import readme
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+LONGEST = 30  # words of a sentence
+
+
+def prose():
+    """Paragraphs and items, without code, tables, pictures and headings."""
+    text = re.sub(r"```.*?```", "", README, flags=re.DOTALL)
+    lines = [line for line in text.splitlines() if not line.startswith(("    ", "|", "#", "<!--", "!["))]
+    paragraphs = re.split(r"\n\s*\n|\n(?=- )", "\n".join(lines))
+    return [re.sub(r"\]\([^)]*\)", "]", " ".join(paragraph.split())) for paragraph in paragraphs]
+
+
+def sentences():
+    return [sentence for paragraph in prose() for sentence in re.split(r"(?<=[.?!:;])\s+(?=[\[`*A-Z])", paragraph)]
+
+
+def test_it_is_read_in_a_few_minutes():
+    assert len(README.splitlines()) <= 150
+    assert len(README.split()) <= 1600
+
+
+def test_sentences_are_short():
+    found = sentences()
+    assert len(found) > 40
+    assert [sentence for sentence in found if len(sentence.split()) > LONGEST] == []
+
+
+def test_links_and_commands_are_there():
+    links = re.findall(r"\]\(([^)]+)\)", README)
+    assert [link for link in links if "://" not in link and not (ROOT / link).exists()] == []
+    commands = set(re.findall(r"\bbeso ([a-z]+)\b(?= )", "\n".join(re.findall(r"^    beso .*", README, flags=re.M))))
+    assert commands
+    assert commands <= {*cli.commands}
+    targets = set(re.findall(r"^    make (\w+)", README, flags=re.M))
+    assert targets <= set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), flags=re.M))
+
+
+def test_its_table_has_the_papers_scores_and_each_runs():
+    archive = pd.read_csv(ROOT / "reports/published/cpu/comparison.csv")
+    lines = [
+        line.strip("| ").split(" | ") for line in readme.results(profile.load("cpu"), {"run": archive}).splitlines()
+    ]
+    assert lines[0][1:] == ["GCBC", "C-IBC", "LMP", "RIL", "C-BeT", "CX-Diff", "C-BESO", "CFG-BESO"]
+    assert lines[2][:4] == ["Block push, result of 1", "paper", "0.13", "0.29"]
+    scores = archive.query("place == 'Table I' and environment == 'block_push' and metric == 'result'")["ours"]
+    assert lines[3] == ["run", *(f"{score:.2f}" for score in scores)]
+    paper = [line for line in lines if line[0].startswith("CALVIN, two")]
+    assert paper == [["CALVIN, two tasks", "paper", *["-"] * 6, "0.79", "-"]]
+    assert readme.BEGIN in README
+    assert readme.END in README
