@@ -12,6 +12,7 @@ from beso.envs.calvin.demonstrations.layout import BEHIND
 from beso.envs.calvin.simulator.observations import CLOSE, OPEN
 
 PUSH_HEIGHT: Final = 0.462  # m, of the finger tips beside a block
+PUSH_TOUCH: Final = 0.006  # m from a block's middle, at most, where it is pushed
 SLIDER_FRONT: Final = (-0.06, 0.60)  # y and z before the cabinet, from where its floor is reached over the edge
 
 
@@ -19,6 +20,7 @@ def push(hand: Hand, block: int, right: bool, distance: float = 0.13) -> Motion:
     """Push a block along x by `distance`, metres, with closed fingers."""
     side = 1 if right else -1
     x, y, _ = hand.block(block)[:3]
+    y += PUSH_TOUCH * hand.manner.touch
     hand.grip = CLOSE
     yield from hand.go((x - BEHIND * side, y, 0.55 + hand.manner.height), tolerance=0.02)
     yield from hand.go((x - BEHIND * side, y, PUSH_HEIGHT))

@@ -29,6 +29,7 @@ DOWN: Final = (np.pi, 0.0)  # roll and pitch of a hand that points down
 YAW: Final = 1.5  # of the neutral pose: the fingers open along x
 FINGER_STEPS: Final = 8  # within which the fingers have come to a stop
 STOPPED: Final = 0.001  # m; change of the gripper's width in a step
+BOWED: Final = 0.1  # m; a way that is longer, seen from above, is bowed
 PATIENCE: Final = 8  # steps for which a hand that was sent as far as its waypoint may stay away from it
 SAFE_HEIGHT: Final = 0.58  # m; above everything that stands on the table
 
@@ -40,15 +41,20 @@ class Manner:
     Attributes:
         pace: factor on speeds.
         height: m, added to the heights at which it hovers.
+        bow: by how much of the way that is left it aims to the side of it, and above it, while that is long.
+        touch: where along a thing it is touched, from -1 to 1.
     """
 
     pace: float = 1.0
     height: float = 0.0
+    bow: tuple[float, float] = (0.0, 0.0)
+    touch: float = 0.0
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> "Manner":
         """A manner as different people have it."""
-        return cls(rng.uniform(0.65, 1.25), rng.uniform(0.0, 0.03))
+        bow = rng.uniform(-0.4, 0.4), rng.uniform(0.0, 0.3)
+        return cls(rng.uniform(0.5, 1.5), rng.uniform(0.0, 0.03), bow, rng.uniform(-1.0, 1.0))
 
 
 class Hand:
@@ -149,7 +155,7 @@ class Hand:
         speed = min(1.0, speed * self.manner.pace)
         late = 0
         for _ in range(round(limit / min(1.0, self.manner.pace))):
-            yield self._action(target(), wanted, speed)
+            yield self._action(self._bowed(target()) if until is None else target(), wanted, speed)
             if until is not None and until():
                 return
             robot = self.table.robot_obs()
@@ -159,6 +165,15 @@ class Hand:
             late += bool(np.abs(self.table.arm.target_position - target()).max() < POSITION_STEP)
             if turned and late > PATIENCE:
                 return
+
+    def _bowed(self, place: np.ndarray) -> np.ndarray:
+        """Where to aim in order to come to a place in the hand's manner, (3,) metres."""
+        way = place - self.table.arm.target_position
+        length = np.hypot(way[0], way[1])
+        if length < BOWED:
+            return place
+        side, up = self.manner.bow
+        return place + (-side * way[1], side * way[0], up * length)
 
     def _action(self, place: np.ndarray, angles: np.ndarray, speed: float = 1.0) -> np.ndarray:
         """The action (7,) that brings the hand closer to xyz `place` and euler xyz `angles`."""

@@ -15,7 +15,7 @@ from beso.envs.calvin.simulator.observations import BLOCKS, block_slice
 @pytest.fixture(scope="module")
 def played(table):
     """A row for each segment: its family, which attempt it was, metres of the mistake, and whether it failed."""
-    rng = generator(3, "test of a player")
+    rng = generator(4, "test of a player")
     table.reset(draw_start(rng))
     player, rows = Player(table, rng), []
     for _ in range(60):

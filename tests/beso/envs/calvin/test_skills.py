@@ -1,8 +1,11 @@
 """Each of the 34 tasks is done by its scripted skill, from random states and in random manners."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
+from beso.envs.calvin.demonstrations.fixture_skills import move_slider, open_drawer
 from beso.envs.calvin.demonstrations.hand import FINGER_STEPS, Hand, Manner
 from beso.envs.calvin.demonstrations.oracle import perform, prepare
 from beso.envs.calvin.demonstrations.placing_skills import neutral
@@ -36,20 +39,35 @@ def test_the_hand_returns_to_where_episodes_start(table, scene):
     assert np.linalg.norm(table.robot_obs()[TCP_POSITION] - start) < 0.03
 
 
-def test_pace_changes_the_actions(table, scene):
-    def actions(manner):
+def test_pace_and_bow_change_the_way(table, scene):
+    def way(manner):
         table.reset(scene)
         hand = Hand(table, manner)
-        taken = []
+        actions, places = [], []
         for action in hand.go((0.2, -0.2, 0.6)):
-            taken.append(action)
+            actions.append(action)
             table.step(action)
-        return np.array(taken)
+            places.append(hand.position)
+        return np.array(actions), np.array(places)
 
-    plain, slow = (actions(m) for m in (Manner(), Manner(pace=0.5)))
+    (plain, straight), (slow, _), (_, bowed) = (way(m) for m in (Manner(), Manner(pace=0.5), Manner(bow=(0.4, 0.3))))
     assert len(slow) > len(plain)
     assert np.abs(slow[:, :3]).max() <= 0.4 + 1e-9
     assert np.abs(plain).max() <= 1
+    for axis in (1, 2):  # to the left, which is to positive y where the way leads to positive x, and above
+        assert np.interp(0.1, bowed[:, 0], bowed[:, axis]) > np.interp(0.1, straight[:, 0], straight[:, axis]) + 0.01
+    assert bowed[-1] == pytest.approx(straight[-1], abs=0.02)
+
+
+@pytest.mark.parametrize("touch", [-1.0, 1.0])
+@pytest.mark.parametrize(
+    ("task", "skill"), [("open_drawer", open_drawer), ("move_slider_left", partial(move_slider, left=True))]
+)
+def test_a_handle_can_be_touched_at_both_of_its_ends(table, scene, task, skill, touch):
+    table.reset(scene)
+    start = table.state()
+    perform(table, skill(Hand(table, Manner(touch=touch))))
+    assert tasks.names_of(tasks.completed(start, table.state())) == (task,)
 
 
 def test_a_waiting_hand_comes_back_where_it_is_moved(table, scene):
