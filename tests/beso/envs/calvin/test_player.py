@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from beso.core.seeding import generator
+from beso.envs.calvin.demonstrations import player as players
 from beso.envs.calvin.demonstrations.hand import Hand
 from beso.envs.calvin.demonstrations.oracle import perform
 from beso.envs.calvin.demonstrations.player import ATTEMPTS, MISTAKE, Player, draw_start
@@ -15,20 +16,22 @@ from beso.envs.calvin.simulator.observations import BLOCKS, block_slice
 @pytest.fixture(scope="module")
 def played(table):
     """A row for each segment: its family, which attempt it was, metres of the mistake, and whether it failed."""
-    rng = generator(4, "test of a player")
+    rng = generator(3, "test of a player")
     table.reset(draw_start(rng))
     player, rows = Player(table, rng), []
-    for _ in range(60):
-        segment = player.next_segment()
-        perform(table, segment.motion)
-        failed = player._last is not None and player._failed(player._last)
-        rows.append((segment.family, player._attempts, np.linalg.norm(player.hand.mistake), failed))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(players, "MISTAKE_SHARE", 0.6)  # of few attempts enough shall fail
+        for _ in range(60):
+            segment = player.next_segment()
+            perform(table, segment.motion)
+            failed = player._last is not None and player._failed(player._last)
+            rows.append((segment.family, player._attempts, np.linalg.norm(player.hand.mistake), failed))
     return rows
 
 
 def test_some_first_attempts_are_made_at_a_wrong_place(played):
     lengths = np.array([length for _, attempt, length, _ in played if attempt == 1])
-    assert 0.05 < (lengths > 0).mean() < 0.4
+    assert 0.2 < (lengths > 0).mean() < 0.7  # none with a block in the hand
     assert MISTAKE[0] <= lengths[lengths > 0].min()
     assert lengths.max() <= MISTAKE[1]
 
