@@ -9,6 +9,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -36,6 +37,23 @@ def write_padded(folder, names, widths, time_first):
             torch.save(torch.from_numpy(stored), folder / f"{name}.pth")
         else:
             np.save(folder / f"{name}.npy", stored)
+
+
+def write_minari(folder):
+    pytest.importorskip("h5py")
+    from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_storage import MinariStorage
+
+    rng, box = np.random.default_rng(0), gymnasium.spaces.Box
+    spaces = gymnasium.spaces.Dict(observation=box(-np.inf, np.inf, (59,), np.float64)), box(-1, 1, (9,), np.float64)
+    storage = MinariStorage.new(folder / "data", *spaces)
+    storage.update_metadata({"dataset_id": "D4RL/kitchen/test-v0", "minari_version": "0.5.3"})
+    for i in range(2):
+        states = rng.uniform(-0.05, 0.05, (6, 59))
+        states[3:, 31] = -0.7  # the microwave
+        ends = {"rewards": [0.0] * 5, "terminations": [False] * 5, "truncations": [False] * 5}
+        actions = rng.uniform(-1, 1, (5, 9))
+        storage.update_episodes([EpisodeBuffer(id=i, observations={"observation": states}, actions=actions, **ends)])
 
 
 def write_calvin(folder):
@@ -66,6 +84,7 @@ IMPORTERS = {
         lambda folder: write_padded(folder, tuple(kitchen.FILES.values()), (60, 9, 7), time_first=True),
         kitchen.load,
     ),
+    "kitchen_minari": (write_minari, kitchen.load),
     "calvin": (write_calvin, load_calvin),
 }
 
@@ -125,7 +144,7 @@ def test_changed_files_are_read_or_refused_in_one_line(name, tmp_path):
 
 
 # Cases that an importer once failed.
-FOUND = {"block_push": (), "kitchen": (), "calvin": ()}
+FOUND = {"block_push": (), "kitchen": (), "kitchen_minari": (), "calvin": ()}
 
 
 def main(seconds):
