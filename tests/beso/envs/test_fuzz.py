@@ -20,7 +20,7 @@ from beso.envs.calvin.demonstrations.scripted import Step
 from beso.envs.kitchen.demonstrations import published as kitchen
 from beso.errors import UserError
 
-LONGEST = 5.0  # seconds
+LONGEST = 5.0  # seconds of a processor
 NUMBERS = (b"0", b"9", b"-1", b"1e9", b"999999999999", b"\x00", b"\xff", b"'", b"{", b"nan")
 
 
@@ -117,7 +117,7 @@ def attempt(name, case, good, folder):
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(good, folder)
     change(folder, np.random.default_rng(case))
-    start, wrong = time.monotonic(), ""
+    start, wrong = time.process_time(), ""
     try:
         found = IMPORTERS[name][1](folder)
     except UserError as error:
@@ -129,8 +129,8 @@ def attempt(name, case, good, folder):
         parts = [found.rel_actions] if name == "calvin" else [found.observations, found.actions]
         if not all(np.isfinite(part).all() for part in parts):
             wrong = "numbers that are not finite"
-    if time.monotonic() - start > LONGEST:
-        wrong = f"took {time.monotonic() - start:.0f} s; {wrong}"
+    if (took := time.process_time() - start) > LONGEST:
+        wrong = f"took {took:.0f} s; {wrong}"
     return wrong
 
 
