@@ -1,6 +1,11 @@
 """Films of rollouts as WebM (VP8), which every browser plays and OpenCV's wheels can write."""
 
-from collections.abc import Sequence
+import contextlib
+import io
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -51,9 +56,10 @@ def write_video(path: Path, frames: Sequence[np.ndarray], frames_per_second: flo
         OSError: the file could not be written.
     """
     height, width, _ = frames[0].shape
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"VP80"), frames_per_second, (width, height))
+    with _stderr() as told:
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"VP80"), frames_per_second, (width, height))
     if not writer.isOpened():
-        raise OSError(f"OpenCV cannot write {path.name} (VP8 in WebM)")
+        raise OSError(f"OpenCV cannot write {path.name} (VP8 in WebM): {told.getvalue().strip()}")
     for frame in frames:
         writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
     writer.release()
@@ -63,3 +69,22 @@ def write_video(path: Path, frames: Sequence[np.ndarray], frames_per_second: flo
     # The track's number is drawn at random; a fixed one makes the bytes reproducible.
     start = written.index(TRACK_NUMBER) + len(TRACK_NUMBER)
     path.write_bytes(written.replace(written[start : start + 8], (1).to_bytes(8, "big")))
+
+
+@contextlib.contextmanager
+def _stderr() -> Iterator[io.StringIO]:
+    """Keep what this process writes to its standard error, from whatever language.
+
+    OpenCV complains about VP8's code in every WebM file, whichever is given, and then writes it.
+    """
+    kept, text = os.dup(2), io.StringIO()
+    with tempfile.TemporaryFile() as file:
+        sys.stderr.flush()
+        os.dup2(file.fileno(), 2)
+        try:
+            yield text
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            file.seek(0)
+            text.write(file.read().decode(errors="replace"))

@@ -4,13 +4,14 @@ import re
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from beso.config import require, require_positive
+from beso.config import require, require_positive, shown
 from beso.core.training_config import ValidationConfig
 from beso.encoders.resnet import check_width
 from beso.evaluation.config import EvaluationConfig
 from beso.images.pretraining import Pretraining
 
 NAME = re.compile("[a-z0-9_]+")  # of environments, methods, studies: dvc.yaml puts them into commands
+MEANT_OTHERWISE = re.compile(r"[\\{}$%&#_^~\x00-\x1f]")  # by LaTeX or matplotlib
 SHARED = ("all", "like")  # keys of a method's blocks beside the environments' names
 
 
@@ -220,6 +221,12 @@ class MethodEntry:
     label: str
     train: dict[str, Any]
     sample: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        require(
+            0 < len(self.label) <= 40 and self.label.isprintable() and not MEANT_OTHERWISE.search(self.label),
+            f"label = {shown(self.label)}: must have 1 to 40 characters, none of \\ {{ }} $ % & # _ ^ ~",
+        )
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def make_encoder(settings: Features, folder: Path, seed: int, machine: Machine, 
     if settings.weights is not None:
         given = settings.weights
         encoding = Encoding(settings.width, size, given.mean, given.std, precision)
-        network = encoder.network(settings.width, read_weights(Path(given.path), given.sha256), given.path)
+        network = encoder.network(settings.width, read_weights(Path(given.path).expanduser(), given.sha256), given.path)
         provenance: dict[str, Any] = {"weights": given.sha256}
     else:
         mean, std = packed.meta["mean"], packed.meta["std"]

@@ -10,7 +10,7 @@ import pandas as pd
 from beso import envs
 from beso.data import play
 from beso.envs.reporting import Summary
-from beso.files import read_json, write_json, write_text
+from beso.files import read_json, replacing, write_json, write_text
 from pipeline import paths
 from pipeline.params import Params
 from pipeline.report import figures, hyperparameters, readme, rows, studies, tables
@@ -31,7 +31,9 @@ def write_tables(params: Params, root: Path, folder: Path) -> None:
     write_text(folder / "tables.tex", tables.render("tables.tex.j2", values))
     write_text(folder / "README.md", readme.render(values))
     write_text(folder / "comparison.csv", values["comparison"].to_csv(index=False, float_format="%.6g"))
-    write_json(folder / "metrics.json", metrics(values["comparison"], values["episodes"]))
+    with replacing(folder / "metrics") as temporary:
+        for name, scores in metrics(values["comparison"], values["episodes"]).items():
+            write_json(temporary / f"{name}.json", scores)
 
 
 def gather(params: Params, root: Path = Path()) -> dict[str, Any]:
@@ -93,17 +95,17 @@ def summary(root: Path, environment: str) -> Summary:
     return json.loads(json.dumps(found))  # as it would be read
 
 
-def metrics(comparison: pd.DataFrame, episodes: dict[str, pd.DataFrame]) -> dict[str, dict[str, Any]]:
-    """What `dvc metrics show` and `dvc metrics diff` print.
+def metrics(comparison: pd.DataFrame, episodes: dict[str, pd.DataFrame]) -> dict[str, dict[str, float]]:
+    """What `dvc metrics show` and `dvc metrics diff` print, a line for each ENVIRONMENT/METHOD/GOALS.
 
-    By environment, method and goal set: every metric's mean and standard deviation over seeds, and mean length.
+    Every metric's mean and standard deviation over seeds, and mean length.
     """
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, dict[str, float]] = {}
     for row in of_cells(comparison).itertuples():
         of_cell = episodes[f"{row.environment}-{row.method}"]
         length = of_cell.loc[of_cell["goals"] == row.goals, "length"].mean()
-        cell = found.setdefault(row.environment, {}).setdefault(row.method, {})
-        scores = cell.setdefault(f"{row.goals}_goals", {"length": round(float(length), 1)})
+        name = f"{row.environment}/{row.method}/{row.goals}"
+        scores = found.setdefault(name, {"length": round(float(length), 1)})
         scores[row.metric] = round(row.ours, 4)
         if not math.isnan(row.ours_std):
             scores[f"{row.metric}_std"] = round(row.ours_std, 4)

@@ -1,18 +1,22 @@
 """Rows of evaluations and studies as files have them: read, and compared with what was to be played."""
 
+from __future__ import annotations
+
 import io
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from beso import envs
 from beso.errors import UserError
-from beso.evaluation.config import EvaluationConfig
 from pipeline.report.statistics import PAIRS
+
+if TYPE_CHECKING:
+    from beso.evaluation.config import EvaluationConfig
 
 # Lists of tasks: a column of single tasks and gaps would be read as decimal numbers.
 TEXTS = {"tasks": str, "goal_tasks": str}

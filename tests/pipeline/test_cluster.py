@@ -56,6 +56,20 @@ def test_no_cluster_is_one_line(smoke):
         list(pool.map_jobs(describe, [(None, 0)], machine))
 
 
+def test_a_cluster_without_processors_is_one_line():
+    """Jobs would wait for ever."""
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    import ray
+
+    ray.init(**{**NODE, "num_cpus": 0}, include_dashboard=False)
+    try:
+        for ask in (pool.workers, lambda machine: list(pool.map_jobs(describe, [(None, 0)], machine))):
+            with pytest.raises(UserError, match=r"^machine\.yaml: ray_address = auto: the Ray cluster has no"):
+                ask(Machine(device="cpu", engine="ray"))
+    finally:
+        ray.shutdown()
+
+
 def test_missing_ray_is_one_line(smoke, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     machine = Machine(device="cpu", engine="ray")

@@ -115,6 +115,10 @@ def cell(env, method, of=None, source=None):
         ((*MODEL, "width"), "wide", r"transformer\.width = 'wide': expected an integer"),
         ((*MODEL, "width"), 16.0, r"transformer\.width = 16\.0: expected an integer"),
         ((*OPTIMIZATION, "learning_rate"), "1e-3", r"learning_rate = '1e-3': expected a finite number"),
+        *(
+            (("methods", "gcbc", "label"), label, r"methods\.gcbc: label = .*: must have 1 to 40 characters, none of")
+            for label in ("50 %", "a_b", "$x$", "A & B", "#1", r"\input{x}", "a\nb", "", "x" * 41, "a~b", "a^b", "{a}")
+        ),
         ((*OPTIMIZATION, "batch_size"), 10**12, r"optimization\.batch_size = 10+: must be at most 1048576"),
         ((*BLOCK_PUSH, "collect", "demonstrations"), 10**18, r"collect\.demonstrations = 10+: must be at most 1000000"),
         (("environments", "calvin", "collect", "camera", "size"), 10**9, r"size = 10+: must be at most 4096"),
@@ -384,6 +388,11 @@ def test_profiles_build_on_each_other(tmp_path, monkeypatch):
     file.write_text("profile: mine\nextends: other\n")
     with pytest.raises(UserError, match="profile 'other' is not one of cpu, gpu, mine, paper, quick, smoke"):
         profile.render("mine")
+
+
+def test_labels_may_have_letters_of_any_alphabet(values):
+    values["methods"]["gcbc"]["label"] = "GCBC (λ), 2nd: a/b + c"
+    assert params.parse(values, "p").labels["gcbc"] == "GCBC (λ), 2nd: a/b + c"
 
 
 def test_every_whole_number_of_params_has_a_largest_value():

@@ -96,7 +96,12 @@ def test_diffs_name_what_changed(small):
         small.stage(stage, "block_push", "gcbc")
     small.stage("tables")
     shown = small.dvc("metrics", "diff").stdout
-    assert "block_push.gcbc.training_goals.length" in shown
+    (line, *_) = [line for line in shown.splitlines() if "reports/metrics/block_push/gcbc/training.json" in line]
+    assert line.split()[1] == "length"
+    shown = small.dvc("metrics", "show").stdout.splitlines()
+    assert shown[0].split() == ["Path", "length", "result", "reward"]
+    assert len(shown) == 1 + 2 * len(list((small.folder / "reports/metrics/block_push").iterdir())), "goal sets"
+    assert max(map(len, shown)) < 120
 
 
 def test_plots_show_the_training_curves(small):

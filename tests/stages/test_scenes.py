@@ -107,3 +107,11 @@ def test_where_nothing_is_filmed_there_is_no_figure(smoke):
         for name, cell in smoke.cells.items()
     }
     assert draw(dataclasses.replace(smoke, cells=unfilmed)) is None
+
+
+def test_an_evaluation_that_lacks_episodes_writes_nothing(smoke, monkeypatch):
+    cell = smoke.cells["calvin-gcbc"]
+    monkeypatch.setattr(playing, "evaluate", lambda *arguments, **named: played(*arguments, **named)[:-1])
+    with pytest.raises(RuntimeError, match=r"evaluate calvin gcbc: \d+ of 20 episodes were played"):
+        play(cell)
+    assert not cell.episodes.exists()
