@@ -269,6 +269,20 @@ def goal_use(cell: str) -> None:
     goal_use(cell)
 
 
+@cli.command("calvin-states")
+@click.argument("method")
+@click.option("--steps", default=200_000, show_default=True, help="Of play.")
+@click.option("--updates", type=int, help="Of the training. Default: the recipe's.")
+@click.option("--trials", default=104, show_default=True, help="For each goal set.")
+@click.option("--seed", default=77, show_default=True, help="Of the trials, not those that are reported.")
+@path("--folder", "states", "Of play and models.")
+def calvin_states(method: str, steps: int, updates: int | None, trials: int, seed: int, folder: Path) -> None:
+    """Judge CALVIN's play and a recipe on the simulator's states, without pictures."""
+    from pipeline.tools.calvin_states import judge
+
+    judge(method, steps, updates, trials, seed, folder)
+
+
 @cli.group()
 def bench() -> None:
     """Measure speed and memory on this machine. Close other programs first."""
