@@ -33,9 +33,10 @@ QUALITY = 60  # of its WebP, up to 100
 
 NEXT = """
 What next:
-  beso watch block_push-c_beso --run {run} --episode 3    another episode
-  beso run -j 2                                           train and evaluate all of it here
-  README.md                                               train one policy, change a parameter, add a method"""
+  another episode                    source .venv/bin/activate
+                                     beso watch block_push-c_beso --run {run} --episode 3
+  train and evaluate all of it here  make reproduce
+  one policy, parameters, methods    README.md"""
 
 
 def demo(run: Path, episodes: int, folder: Path, picture: Path | None) -> None:

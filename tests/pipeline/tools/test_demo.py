@@ -30,7 +30,7 @@ def test_an_archived_policy_plays_and_is_filmed(run, tmp_path, capfd):
     demo.demo(run, 1, tmp_path / "films", tmp_path / "picture.webp")
     told, trouble = capfd.readouterr()
     assert "Block-Push: 1 of 1 goals reached\n  episode 0: block 2 to target 2, block 1 to target 1: reached" in told
-    assert f"beso watch block_push-c_beso --run {run} --episode 3 " in told
+    assert f"beso watch block_push-c_beso --run {run} --episode 3\n" in told
     assert "OpenCV" not in trouble
     assert [path.name for path in (tmp_path / "films").iterdir()] == ["block_push.webm"]
     assert len(demo.read(tmp_path / "films/block_push.webm")) > 20
