@@ -106,18 +106,20 @@ def cli() -> None:
 
 
 @cli.command()
-@path("--run", "reports/published/cpu", "An archived run that keeps C-BESO's weights.")
-@click.option("--episodes", type=click.IntRange(min=1), default=5, show_default=True, help="In each environment.")
+@click.argument("cells", nargs=-1, metavar="[CELL]...")
+@path("--run", "reports/published/cpu", "An archived run.")
+@click.option("--episodes", type=click.IntRange(min=1), default=5, show_default=True, help="Of each policy.")
 @path("--out", "demo", "Folder for the films.")
 @path("--picture", None, "File for all films side by side, an animated WebP.")
-def demo(run: Path, episodes: int, out: Path, picture: Path | None) -> None:
-    """Watch an archived C-BESO in every environment.
+def demo(cells: Sequence[str], run: Path, episodes: int, out: Path, picture: Path | None) -> None:
+    """Watch archived policies, without training.
 
-    It trains nothing. In each environment it films the first episode that reaches its goal.
+    Each policy whose weights the run keeps plays some episodes. The first that reaches its goal is filmed. Without a
+    CELL, all are meant.
     """
     from pipeline.tools.demo import demo
 
-    demo(run, episodes, out, picture)
+    demo(cells, run, episodes, out, picture)
 
 
 @cli.command()
