@@ -4,10 +4,7 @@ Each plays the first episodes of the run's evaluation: their starts and goals li
 first that reaches its goal, or else the first. Nothing is chosen by hand.
 """
 
-import os
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -102,25 +99,10 @@ def play(job: EvaluationJob, episodes: int, film: Path) -> tuple[list[Row], Row,
     rows = [row for (row,) in evaluate(job, [Chunk(goals, i, i + 1) for i in range(episodes)])]
     filmed = next(filter(reached, rows), rows[0])
     try:
-        with silent():
-            film_episode(job, film, filmed["episode"])
+        film_episode(job, film, filmed["episode"])
     except CannotDrawError as error:
         return rows, filmed, f"no film: {error}"
     return rows, filmed, ""
-
-
-@contextmanager
-def silent() -> Iterator[None]:
-    """Drop what libraries write to the standard error stream: FFMPEG calls VP8 in WebM unsupported, then writes it."""
-    sys.stderr.flush()
-    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nothing)
 
 
 def side_by_side(films: Sequence[Path], target: Path) -> None:
