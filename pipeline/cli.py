@@ -271,18 +271,18 @@ def goal_use(cell: str) -> None:
     goal_use(cell)
 
 
-@cli.command("calvin-states")
-@click.argument("method")
+@cli.command()
+@CELL
 @click.option("--steps", default=200_000, show_default=True, help="Of play.")
 @click.option("--updates", type=int, help="Of the training. Default: the recipe's.")
 @click.option("--trials", default=104, show_default=True, help="For each goal set.")
 @click.option("--seed", default=77, show_default=True, help="Of the trials, not those that are reported.")
 @path("--folder", "states", "Of play and models.")
-def calvin_states(method: str, steps: int, updates: int | None, trials: int, seed: int, folder: Path) -> None:
-    """Judge CALVIN's play and a recipe on the simulator's states, without pictures."""
-    from pipeline.tools.calvin_states import judge
+def states(cell: str, steps: int, updates: int | None, trials: int, seed: int, folder: Path) -> None:
+    """Judge play and a recipe on the simulator's states, where policies see images."""
+    from pipeline.tools.states import judge
 
-    judge(method, steps, updates, trials, seed, folder)
+    judge(cell, steps, updates, trials, seed, folder)
 
 
 @cli.group()
