@@ -250,6 +250,23 @@ def import_(folder: Path) -> None:
 
 
 @cli.command()
+@click.argument("env")
+@click.option(
+    "--format", "form", type=click.Choice(["minari", "lerobot", "official"]), default="minari", show_default=True
+)
+@path("--out", "exported", "Folder for the dataset.")
+def export(env: str, form: str, out: Path) -> None:
+    """Write an environment's play as a Minari or LeRobot dataset.
+
+    The play comes from `beso run collect` (or `features`). LeRobot's form and the official one hold pictures:
+    environments whose policies see states have neither. `environments.ENV.collect.folder` takes what is written.
+    """
+    from pipeline.tools.export import export
+
+    export(env, form, out)
+
+
+@cli.command()
 def lock() -> None:
     """Write the versions of installed packages to constraints/.
 

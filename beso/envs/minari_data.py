@@ -94,11 +94,11 @@ def read(dataset: Opened, spec: PlaySpec, largest: Mapping[str, float]) -> PlayD
     found = []
     for i, recorded in enumerate(dataset.episodes):
         where = f"{dataset.path}: demonstration {i}"
-        tasks = recorded.infos.get("tasks") if isinstance(recorded.infos, dict) else None
-        arrays = recorded.observations, recorded.actions, tasks
+        arrays = recorded.observations, recorded.actions, (recorded.infos or {}).get("tasks")
         if not all(isinstance(array, np.ndarray) and array.ndim == 2 for array in arrays):
             raise UserError(f"{where}: observations, actions and infos/tasks must be arrays with a row a step")
-        episode = recorded.observations[:-1], recorded.actions, tasks[:-1]
+        observations, actions, tasks = arrays
+        episode = observations[:-1], actions, tasks[:-1]
         published.check(episode, spec, largest, where, may_fail=True)
         found.append(Episode(*episode))
     kept = {key: value for key, value in said["play"].items() if key not in ("sha256", "counts")}
@@ -168,7 +168,7 @@ def _episodes(dataset: PlayDataset, goal_window: int) -> Iterator[dict[str, Any]
 
 
 def _space(space: Any, array: np.ndarray) -> Any:
-    """The environment's space as far as it fits the play, whose numbers are of another type, or features of pictures."""
+    """The environment's space in the play's type, wide enough for it; without bounds where play is features."""
     box = importlib.import_module("gymnasium").spaces.Box
     if space.shape != array.shape[1:]:
         return box(-np.inf, np.inf, array.shape[1:], array.dtype)
