@@ -94,11 +94,10 @@ def read(dataset: Opened, spec: PlaySpec, largest: Mapping[str, float]) -> PlayD
     found = []
     for i, recorded in enumerate(dataset.episodes):
         where = f"{dataset.path}: demonstration {i}"
-        arrays = recorded.observations, recorded.actions, (recorded.infos or {}).get("tasks")
+        arrays: list[Any] = [recorded.observations, recorded.actions, (recorded.infos or {}).get("tasks")]
         if not all(isinstance(array, np.ndarray) and array.ndim == 2 for array in arrays):
             raise UserError(f"{where}: observations, actions and infos/tasks must be arrays with a row a step")
-        observations, actions, tasks = arrays
-        episode = observations[:-1], actions, tasks[:-1]
+        episode = arrays[0][:-1], arrays[1], arrays[2][:-1]
         published.check(episode, spec, largest, where, may_fail=True)
         found.append(Episode(*episode))
     kept = {key: value for key, value in said["play"].items() if key not in ("sha256", "counts")}

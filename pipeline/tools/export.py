@@ -1,4 +1,4 @@
-"""`beso export ENV` writes collected play in the forms that others use; docs/published-data.md tells how to read them."""
+"""`beso export ENV` writes play in the forms that others use; docs/published-data.md tells how to read them."""
 
 from pathlib import Path
 

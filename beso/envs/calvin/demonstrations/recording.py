@@ -23,7 +23,8 @@ def join(parts: list[Path], folder: Path, seed: int) -> None:
 def convert(published: Path, folder: Path, size: int, workers: int) -> None:
     """Write the raw play of a published data set: the folder that holds `training` and, usually, `validation`.
 
-    Or of a LeRobot dataset that `export` wrote. The episodes of `validation` come last and are held out; meta.json says which those are.
+    Or of a LeRobot dataset that `export` wrote. The episodes of `validation` come last and are held out; meta.json says
+    which those are.
     """
     if lerobot.is_dataset(published):
         lerobot.convert(published, folder, size)
