@@ -128,7 +128,7 @@ def write(dataset: PlayDataset, spec: PlaySpec, environment: str, folder: Path) 
     spaces = _space(env.observation_space, dataset.observations), _space(env.action_space, dataset.actions)
     env.close()
     versions = dataset.meta.get("versions", {})
-    with replacing(folder / name) as temporary:
+    with replacing((folder / name).resolve()) as temporary:  # h5py is given the path twice if it is relative
         temporary.mkdir()
         written = storage.MinariStorage.new(temporary / "data", *spaces, env_spec=env.spec, data_format="hdf5")
         written.update_metadata(

@@ -10,7 +10,7 @@ from pipeline import paths
 
 
 def export(env: str, form: str, out: Path) -> None:
-    """Write the play of one environment below `out`, and print where it is.
+    """Write the play of one environment into `out`/`form`, and print where it is.
 
     Args:
         form: "minari" is its play dataset; others, which environments with images know, are its raw play.
@@ -18,14 +18,14 @@ def export(env: str, form: str, out: Path) -> None:
     Raises:
         UserError: there is no such environment or play, it has no pictures, or a package is not installed.
     """
+    folder = out / form
     if form == "minari":
         spec = envs.spec(env)
-        name = minari_data.write(play.load(paths.play(env), spec), spec, envs.gymnasium_name(env), out)
-        print(f"{out / name}: with MINARI_DATASETS_PATH={out.resolve()}, minari.load_dataset({name!r})")
+        name = minari_data.write(play.load(paths.play(env), spec), spec, envs.gymnasium_name(env), folder)
+        print(f"{folder / name}: with MINARI_DATASETS_PATH={folder.resolve()}, minari.load_dataset({name!r})")
         return
     envs.spec(env)
     if not envs.sees_images(env):
         raise UserError(f"policies of {env} see no pictures: its play has the form minari alone")
-    folder = out / f"{env}-{form}"
-    envs.recording(env).export(envs.raw(env).load(paths.raw(env)), folder, form)
-    print(folder)
+    envs.recording(env).export(envs.raw(env).load(paths.raw(env)), folder / env, form)
+    print(folder / env)

@@ -1,5 +1,7 @@
 """`beso export`, and the stage `collect` on what it wrote."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -46,12 +48,12 @@ def changed(name, folder, target, camera=None):
 def test_play_of_states_goes_out_as_minaris_and_comes_back(tmp_path, monkeypatch, capsys, name):
     minari = pytest.importorskip("minari")
     play.save(random_play(name), paths.play(name))
-    export(name, "minari", tmp_path / "exported")
-    shown = f"with MINARI_DATASETS_PATH={tmp_path}/exported, minari.load_dataset('beso/{name}-v0')"
+    export(name, "minari", Path("exported"))
+    shown = f"with MINARI_DATASETS_PATH={tmp_path}/exported/minari, minari.load_dataset('beso/{name}-v0')"
     assert shown in capsys.readouterr().out
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "exported"))
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "exported/minari"))
     assert minari.load_dataset(f"beso/{name}-v0").total_steps == 18
-    assert changed(name, f"exported/beso/{name}-v0", paths.play(name)) == set()
+    assert changed(name, f"exported/minari/beso/{name}-v0", paths.play(name)) == set()
     with pytest.raises(UserError, match=f"policies of {name} see no pictures: its play has the form minari alone"):
         export(name, "lerobot", tmp_path / "exported")
 
@@ -62,7 +64,7 @@ def test_raw_play_goes_out_with_its_frames_and_comes_back(tmp_path, form, lost):
         pytest.importorskip("pyarrow")
     raw.write([scripted.record(0, i, 60, 16) for i in range(2)], paths.raw("calvin"), {"source": "scripted"})
     export("calvin", form, tmp_path / "exported")
-    assert changed("calvin", f"exported/calvin-{form}", paths.raw("calvin"), parameters.Camera(60, 16)) <= lost
+    assert changed("calvin", f"exported/{form}/calvin", paths.raw("calvin"), parameters.Camera(60, 16)) <= lost
 
 
 def test_what_is_not_there_is_told_in_one_line(tmp_path):
