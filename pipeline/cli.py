@@ -106,18 +106,20 @@ def cli() -> None:
 
 
 @cli.command()
-@path("--run", "reports/published/cpu", "An archived run that keeps C-BESO's weights.")
-@click.option("--episodes", type=click.IntRange(min=1), default=5, show_default=True, help="In each environment.")
+@click.argument("cells", nargs=-1, metavar="[CELL]...")
+@path("--run", "reports/published/cpu", "An archived run.")
+@click.option("--episodes", type=click.IntRange(min=1), default=5, show_default=True, help="Of each policy.")
 @path("--out", "demo", "Folder for the films.")
 @path("--picture", None, "File for all films side by side, an animated WebP.")
-def demo(run: Path, episodes: int, out: Path, picture: Path | None) -> None:
-    """Watch an archived C-BESO in every environment.
+def demo(cells: Sequence[str], run: Path, episodes: int, out: Path, picture: Path | None) -> None:
+    """Watch archived policies, without training.
 
-    It trains nothing. In each environment it films the first episode that reaches its goal.
+    Each policy whose weights the run keeps plays some episodes. The first that reaches its goal is filmed. Without a
+    CELL, all are meant.
     """
     from pipeline.tools.demo import demo
 
-    demo(run, episodes, out, picture)
+    demo(cells, run, episodes, out, picture)
 
 
 @cli.command()
@@ -284,6 +286,20 @@ def goal_use(cell: str) -> None:
     from pipeline.tools.goal_use import goal_use
 
     goal_use(cell)
+
+
+@cli.command()
+@CELL
+@click.option("--steps", default=200_000, show_default=True, help="Of play.")
+@click.option("--updates", type=int, help="Of the training. Default: the recipe's.")
+@click.option("--trials", default=104, show_default=True, help="For each goal set.")
+@click.option("--seed", default=77, show_default=True, help="Of the trials, not those that are reported.")
+@path("--folder", "states", "Of play and models.")
+def states(cell: str, steps: int, updates: int | None, trials: int, seed: int, folder: Path) -> None:
+    """Judge play and a recipe on the simulator's states, where policies see images."""
+    from pipeline.tools.states import judge
+
+    judge(cell, steps, updates, trials, seed, folder)
 
 
 @cli.group()

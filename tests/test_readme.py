@@ -1,9 +1,10 @@
-"""The README stays short, and what it shows is there."""
+"""The README stays short; what it and the pages in docs/ link to is there."""
 
 import re
 from pathlib import Path
 
 import pandas as pd
+import pytest
 
 from pipeline import profile
 from pipeline.cli import cli
@@ -11,6 +12,7 @@ from pipeline.report import readme
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 LONGEST = 30  # words of a sentence
 
 
@@ -37,9 +39,23 @@ def test_sentences_are_short():
     assert [sentence for sentence in found if len(sentence.split()) > LONGEST] == []
 
 
-def test_links_and_commands_are_there():
-    links = re.findall(r"\]\(([^)]+)\)", README)
-    assert [link for link in links if "://" not in link and not (ROOT / link).exists()] == []
+def anchors(path):
+    """What GitHub makes of a page's headings."""
+    headings = re.findall(r"^#+ (.*)$", path.read_text(), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_links_lead_somewhere(path):
+    for link in re.findall(r"\]\(([^)]+)\)", path.read_text()):
+        name, _, anchor = link.partition("#")
+        if "://" not in link:
+            target = path.parent / name if name else path
+            assert target.exists(), link
+            assert not anchor or anchor in anchors(target), link
+
+
+def test_commands_are_there():
     commands = set(re.findall(r"\bbeso ([a-z]+)\b(?= )", "\n".join(re.findall(r"^    beso .*", README, flags=re.M))))
     assert commands
     assert commands <= {*cli.commands}
@@ -53,10 +69,10 @@ def test_its_table_has_the_papers_scores_and_each_runs():
         line.strip("| ").split(" | ") for line in readme.results(profile.load("cpu"), {"run": archive}).splitlines()
     ]
     assert lines[0][1:] == ["GCBC", "C-IBC", "LMP", "RIL", "C-BeT", "CX-Diff", "C-BESO", "CFG-BESO"]
-    assert lines[2][:4] == ["Block push, result of 1", "paper", "0.13", "0.29"]
+    assert lines[2][:4] == ["Block-Push, result of 1", "paper", "0.13", "0.29"]
     scores = archive.query("place == 'Table I' and environment == 'block_push' and metric == 'result'")["ours"]
     assert lines[3] == ["run", *(f"{score:.2f}" for score in scores)]
     paper = [line for line in lines if line[0].startswith("CALVIN, two")]
-    assert paper == [["CALVIN, two tasks", "paper", *["-"] * 6, "0.79", "-"]]
+    assert paper == [["CALVIN, two tasks, success of 1", "paper", *["-"] * 6, "0.79", "-"]]
     assert readme.BEGIN in README
     assert readme.END in README

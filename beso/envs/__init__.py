@@ -15,6 +15,7 @@ parameter (`evaluation.tasks`). An environment that sees images has, instead of 
     <name>/demonstrations/recording.py  record, join, convert: raw play, with frames (beso.envs.protocol.Recording)
     <name>/demonstrations/raw.py        load(folder): raw play
     <name>/probe.py                     TARGETS: what the features should tell (beso.images.probe)
+    <name>/states.py                    the same with the simulator's states for images, if it likes (`beso states`)
 
 Rooms are imported by name and piece by piece, so that training needs no simulator and a pipeline cell depends on the
 parts of its own room alone.
@@ -46,7 +47,7 @@ from beso.errors import UserError
 
 if TYPE_CHECKING:
     from beso.data.spec import PlaySpec
-    from beso.envs.protocol import Evaluation, Importer, Raw, Recorder, Recording, TrialMaker
+    from beso.envs.protocol import Evaluation, Importer, Raw, Recorder, Recording, States, TrialMaker
     from beso.envs.reporting import Report
     from beso.images.probe import Target
     from beso.interface import Interface
@@ -121,6 +122,13 @@ def raw(name: str) -> Raw:
 def probe_targets(name: str) -> tuple[Target, ...]:
     """What the features of its frames should tell."""
     return _part(name, "probe").TARGETS
+
+
+def states(name: str) -> States:
+    """The same environment with the simulator's states for images. Raises UserError if it does not have that."""
+    if not (Path(__path__[0]) / name / "states.py").is_file():
+        raise UserError(f"environment {name!r} has no states.py: its policies see states anyway, or nobody wrote it")
+    return _part(name, "states")
 
 
 def _part(name: str, part: str) -> Any:

@@ -124,6 +124,24 @@ class Outcome:
     start: np.ndarray
 
 
+class States(Protocol):
+    """An environment with states for images: the module `beso.envs.<name>.states`.
+
+    Attributes:
+        SPEC: of states.
+        LENGTH: steps of a stretch of play.
+        record: one stretch.
+        make_trials: as the module `trials` makes them, with states for goals.
+        make: an environment whose observations are states.
+    """
+
+    SPEC: PlaySpec
+    LENGTH: int
+    record: Recorder
+    make_trials: TrialMaker
+    make: Callable[[], gymnasium.Env]
+
+
 class Evaluation(Protocol):
     """How policies are evaluated in an environment: the module `beso.envs.<name>.evaluation`."""
 

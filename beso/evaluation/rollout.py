@@ -88,7 +88,7 @@ def evaluate(
             chosen = trials.pick(all_trials, chunk.goals, job.seed, numbers)
             role = f"policy noise, {chunk.goals} goals"
             noise = EpisodeNoise([generator(config.seed, role, job.seed, i) for i in numbers], device)
-            outcomes = _play(chosen, environments, policy, noise, device, config.max_actions, film)
+            outcomes = play_chunk(chosen, environments, policy, noise, device, config.max_actions, film)
             rows = []
             for i, trial, outcome in zip(numbers, chosen, outcomes, strict=True):
                 row = {"seed": job.seed, "goals": chunk.goals, "episode": i}
@@ -102,14 +102,14 @@ def evaluate(
     return played
 
 
-def _play(
+def play_chunk(
     chosen: list[Trial],
     environments: list[gymnasium.Env],
     policy: checkpoint.LoadedModel,
     noise: EpisodeNoise,
     device: Any,
     max_actions: int | None,
-    film: Film | None,
+    film: Film | None = None,
 ) -> list[Outcome]:
     """Play the chosen trials side by side: reset, act, step, until all have ended."""
     outcomes = []

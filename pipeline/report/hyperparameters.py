@@ -37,7 +37,10 @@ def _samples(cell: Cell) -> int:
 
 
 def _values(cell: Cell) -> dict[str, str]:
-    """A cell's values by name: the innermost key, with the part before it in sampling and where two parts have it."""
+    """A cell's values by name.
+
+    A name is the innermost key. The part stands before it in sampling, and where two parts have the same key.
+    """
     config = cell.train.first.config
     parts = {"model": config.model, "optimization": config.optimization, "sampling": cell.evaluate.sampling}
     found = [

@@ -9,6 +9,7 @@ from typing import Any
 
 import pandas as pd
 
+from beso import envs
 from beso.files import write_text
 from pipeline import paths
 from pipeline.params import Params, load
@@ -18,12 +19,6 @@ from pipeline.report.page import BEYOND, REST, Picture, arrange
 
 README = Path("README.md")
 BEGIN, END = "<!-- results -->\n", "<!-- end of results -->\n"
-SHOWN = (  # label, environment, metric, goals
-    ("Block push, result of 1", "block_push", "result", "training"),
-    ("Kitchen, result of 4", "kitchen", "result", "training"),
-    ("CALVIN, one task", "calvin", "success", "single_tasks"),
-    ("CALVIN, two tasks", "calvin", "success", "two_tasks"),
-)
 
 
 def render(values: dict[str, Any]) -> str:
@@ -50,6 +45,8 @@ def render(values: dict[str, Any]) -> str:
 def results(params: Params, runs: Mapping[str, pd.DataFrame]) -> str:
     """A Markdown table of the main scores: the paper's row, then one for each run that has any.
 
+    The scores are each environment's last metric of which the paper has numbers, with every set of goals that it has.
+
     Args:
         params: for the methods and their labels.
         runs: the runs' comparisons, by the name that the table gives them.
@@ -57,14 +54,22 @@ def results(params: Params, runs: Mapping[str, pd.DataFrame]) -> str:
     methods, paper = tables.main_methods(params), paper_numbers().rename(columns={"mean": "paper"})
     lines = ["| | run | " + " | ".join(params.labels[method] for method in methods) + " |"]
     lines.append("|---|---|" + "---|" * len(methods))
-    for label, env, metric, goals in SHOWN:
-        for name, column, table in [("paper", "paper", paper), *((name, "ours", run) for name, run in runs.items())]:
-            at = (table["environment"] == env) & (table["metric"] == metric) & (table["goals"] == goals)
-            rows = table[at & table[column].notna() & ((column == "paper") | table["study"].isna())]
-            numbers = rows.drop_duplicates("method").set_index("method")[column].reindex(methods)
-            if numbers.notna().any():
-                told = " | ".join(tables.number(value).replace("--", "-") for value in numbers)
-                lines.append(f"| {label if name == 'paper' else ''} | {name} | {told} |")
+    for env in params.envs:
+        room, of_env = envs.report(env), paper[paper["environment"] == env]
+        metric = [metric for metric in room.METRICS if metric.name in {*of_env["metric"]}][-1]
+        measured = of_env[of_env["metric"] == metric.name]
+        for goals in measured["goals"].unique():
+            which = f", {room.GOAL_LABELS[goals]}" if measured["goals"].nunique() > 1 else ""
+            label = f"{room.LABEL}{which}, {metric.label.lower()} of {metric.maximum:g}"
+            numbers = {"paper": measured[measured["goals"] == goals].assign(shown=measured["paper"])}
+            for name, run in runs.items():
+                at = (run["environment"] == env) & (run["metric"] == metric.name) & (run["goals"] == goals)
+                numbers[name] = run[at & run["study"].isna()].assign(shown=run["ours"])
+            for name, rows in numbers.items():
+                scores = rows.drop_duplicates("method").set_index("method")["shown"].reindex(methods)
+                if scores.notna().any():
+                    told = " | ".join(tables.number(score).replace("--", "-") for score in scores)
+                    lines.append(f"| {label if name == 'paper' else ''} | {name} | {told} |")
     return "\n".join(lines) + "\n"
 
 

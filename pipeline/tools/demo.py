@@ -1,13 +1,10 @@
-"""`beso demo`: C-BESO from an archived run plays in every environment, without training.
+"""`beso demo`: policies of an archived run play, without training: those whose weights it keeps.
 
-In each environment it plays the first episodes of the run's evaluation: their starts and goals lie in the archive. One
-is filmed: the first that reaches its goal, or else the first. Nothing is chosen by hand.
+Each plays the first episodes of the run's evaluation: their starts and goals lie in the archive. One is filmed: the
+first that reaches its goal, or else the first. Nothing is chosen by hand.
 """
 
-import os
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,54 +23,58 @@ from pipeline.params import PATH, load
 from pipeline.play import evaluation_jobs
 from pipeline.pool import map_jobs
 
-METHOD = "c_beso"
 HEIGHT = 180  # pixels of the moving picture
 SKIPPED = 4  # of its frames, one in so many is shown
 QUALITY = 60  # of its WebP, up to 100
 
 NEXT = """
 What next:
-  beso watch block_push-c_beso --run {run} --episode 3    another episode
-  beso run -j 2                                           train and evaluate all of it here
-  README.md                                               train one policy, change a parameter, add a method"""
+  another episode                    source .venv/bin/activate
+                                     beso watch {cell} --run {run} --episode 3
+  train and evaluate all of it here  make reproduce
+  one policy, parameters, methods    README.md"""
 
 
-def demo(run: Path, episodes: int, folder: Path, picture: Path | None) -> None:
+def demo(cells: Sequence[str], run: Path, episodes: int, folder: Path, picture: Path | None) -> None:
     """Play, film and print.
 
     Args:
+        cells: none means all whose weights the run keeps.
         run: the folder of an archived run.
-        episodes: how many to play in each environment; the archive has the first of the evaluation.
-        folder: of the films, ENVIRONMENT.webm.
+        episodes: how many each plays; the archive has the first of the evaluation.
+        folder: of the films, CELL.webm.
         picture: a .webp file for all films side by side.
 
     Raises:
-        UserError: the run has no weights of C-BESO, fewer episodes, or the file's name is not right.
+        UserError: the run has no such weights, or fewer episodes; or the file's name is not right.
     """
     if picture is not None and (picture.suffix != ".webp" or not picture.parent.is_dir()):
         raise UserError(f"--picture {picture}: must be a .webp file in a folder that exists")
     params, machine = load(run / PATH), Machine.load()
-    cells = [
-        cell
-        for cell in params.cells.values()
-        if cell.method == METHOD and checkpoint.paths(run / cell.models, cell.evaluate.seeds[0])[0].is_file()
+    kept = [
+        name
+        for name, cell in params.cells.items()
+        if checkpoint.paths(run / cell.models, cell.evaluate.seeds[0])[0].is_file()
     ]
-    if not cells:
-        raise UserError(f"{run} keeps no weights of {METHOD}: `beso publish --weights {METHOD}` keeps them")
+    if not kept:
+        raise UserError(f"{run} keeps no weights: `beso publish --weights METHOD` keeps them")
+    for name in cells:
+        if params.cell_named(name).name not in kept:
+            raise UserError(f"{run} keeps no weights of {name}, but of {', '.join(kept)}")
     folder.mkdir(parents=True, exist_ok=True)
     planned = []
-    for cell in cells:
-        job = evaluation_jobs(cell.evaluate, machine)[0]
+    for name in cells or kept:
+        job = evaluation_jobs(params.cells[name].evaluate, machine)[0]
         job = replace(job, data=run / job.data, trials=run / job.trials, models=run / job.models)
-        planned.append((job, episodes, folder / f"{cell.env}.webm"))
-    print(f"{params.labels[METHOD]} of {run} plays {episodes} episodes in each environment ...", flush=True)
+        planned.append((job, episodes, folder / f"{name}.webm"))
+    print(f"policies of {run} play {episodes} episodes each ...", flush=True)
     films = []
-    for (job, _, film), (rows, filmed, trouble) in zip(planned, map_jobs(play, planned, machine, "demo"), strict=True):
-        label = envs.report(job.environment).LABEL
-        print(f"{label}: {sum(map(reached, rows))} of {len(rows)} goals reached")
-        asked = ", ".join(
-            envs.spec(job.environment).tasks[int(i)].replace("_", " ") for i in filmed["goal_tasks"].split()
-        )
+    played = map_jobs(play, planned, machine, "demo")
+    for name, (job, _, film), (rows, filmed, trouble) in zip(cells or kept, planned, played, strict=True):
+        label, tasks = envs.report(job.environment).LABEL, envs.spec(job.environment).tasks
+        method = params.labels[params.cells[name].method]
+        print(f"{method} in {label}: {sum(map(reached, rows))} of {len(rows)} goals reached")
+        asked = ", ".join(tasks[int(task)].replace("_", " ") for task in filmed["goal_tasks"].split())
         done = "reached" if reached(filmed) else "not reached"
         print(f"  episode {filmed['episode']}: {asked}: {done}, {filmed['length']} actions")
         print(f"  {trouble or film}")
@@ -81,7 +82,7 @@ def demo(run: Path, episodes: int, folder: Path, picture: Path | None) -> None:
     if picture is not None:
         side_by_side(films, picture)
         print(f"{picture}: {picture.stat().st_size:,} bytes")
-    print(NEXT.format(run=run))
+    print(NEXT.format(run=run, cell=(cells or kept)[0]))
 
 
 def reached(row: Row) -> bool:
@@ -98,25 +99,10 @@ def play(job: EvaluationJob, episodes: int, film: Path) -> tuple[list[Row], Row,
     rows = [row for (row,) in evaluate(job, [Chunk(goals, i, i + 1) for i in range(episodes)])]
     filmed = next(filter(reached, rows), rows[0])
     try:
-        with silent():
-            film_episode(job, film, filmed["episode"])
+        film_episode(job, film, filmed["episode"])
     except CannotDrawError as error:
         return rows, filmed, f"no film: {error}"
     return rows, filmed, ""
-
-
-@contextmanager
-def silent() -> Iterator[None]:
-    """Drop what libraries write to the standard error stream: FFMPEG calls VP8 in WebM unsupported, then writes it."""
-    sys.stderr.flush()
-    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nothing)
 
 
 def side_by_side(films: Sequence[Path], target: Path) -> None:

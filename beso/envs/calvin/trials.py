@@ -11,6 +11,7 @@ the tasks that trial i asks for alone.
 """
 
 import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -42,7 +43,7 @@ ATTEMPTS: Final = 100  # at a start state from which the skills do what is wante
 
 
 class Made(NamedTuple):
-    """A start, (24,) and (15,), from which the wanted tasks were done, and the picture (size, size, 3) afterwards."""
+    """A start, (24,) and (15,), from which the wanted tasks were done, and what is seen afterwards."""
 
     scene_obs: np.ndarray
     robot_obs: np.ndarray
@@ -57,7 +58,7 @@ def make(request: TrialRequest) -> list[Trial]:
     """
     size, table = frame_size(request.data), PlayTable()
     try:
-        return [_trial(table, request, number, size) for number in request.numbers]
+        return [trial(table, request, number, lambda: table.picture(size)) for number in request.numbers]
     finally:
         table.close()
 
@@ -83,10 +84,11 @@ def wanted_tasks(goals: str, number: int, single_tasks: tuple[str, ...]) -> tupl
     return first[kind // 2], second[kind % 2]
 
 
-def _trial(table: PlayTable, request: TrialRequest, number: int, size: int) -> Trial:
+def trial(table: PlayTable, request: TrialRequest, number: int, see: Callable[[], np.ndarray]) -> Trial:
+    """One trial; `see` gives what its goal holds of the table's state at the end."""
     rng = generator(request.seed, f"calvin trial, {request.goals}", request.model_seed, number)
     wanted = wanted_tasks(request.goals, number, request.tasks)
-    attempts = (attempt(table, wanted, rng, size) for _ in range(ATTEMPTS))
+    attempts = (attempt(table, wanted, rng, see) for _ in range(ATTEMPTS))
     made = next((made for made in attempts if made is not None), None)
     if made is None:
         raise RuntimeError(f"{' and '.join(wanted)} (trial {number}) failed from {ATTEMPTS} start states")
@@ -105,7 +107,9 @@ def _trial(table: PlayTable, request: TrialRequest, number: int, size: int) -> T
     )
 
 
-def attempt(table: PlayTable, wanted: tuple[str, ...], rng: np.random.Generator, size: int) -> Made | None:
+def attempt(
+    table: PlayTable, wanted: tuple[str, ...], rng: np.random.Generator, see: Callable[[], np.ndarray]
+) -> Made | None:
     """Draw a start state and do the wanted tasks from it, in a random order.
 
     Returns:
@@ -129,7 +133,7 @@ def attempt(table: PlayTable, wanted: tuple[str, ...], rng: np.random.Generator,
     table.reset(end_scene)
     if set(tasks.names_of(tasks.completed(start, table.state()))) != set(wanted):
         return None
-    return Made(scene_obs, robot_obs, table.picture(size))
+    return Made(scene_obs, robot_obs, see())
 
 
 def _do(table: PlayTable, hand: Hand, skill: Skill, rng: np.random.Generator) -> bool:

@@ -27,13 +27,16 @@ def run(tmp_path, monkeypatch):
 
 
 def test_an_archived_policy_plays_and_is_filmed(run, tmp_path, capfd):
-    demo.demo(run, 1, tmp_path / "films", tmp_path / "picture.webp")
+    demo.demo([], run, 1, tmp_path / "films", tmp_path / "picture.webp")
     told, trouble = capfd.readouterr()
-    assert "Block-Push: 1 of 1 goals reached\n  episode 0: block 2 to target 2, block 1 to target 1: reached" in told
-    assert f"beso watch block_push-c_beso --run {run} --episode 3 " in told
+    assert (
+        "C-BESO in Block-Push: 1 of 1 goals reached\n  episode 0: block 2 to target 2, block 1 to target 1: reached"
+        in told
+    )
+    assert f"beso watch block_push-c_beso --run {run} --episode 3\n" in told
     assert "OpenCV" not in trouble
-    assert [path.name for path in (tmp_path / "films").iterdir()] == ["block_push.webm"]
-    assert len(demo.read(tmp_path / "films/block_push.webm")) > 20
+    assert [path.name for path in (tmp_path / "films").iterdir()] == ["block_push-c_beso.webm"]
+    assert len(demo.read(tmp_path / "films/block_push-c_beso.webm")) > 20
     assert (tmp_path / "picture.webp").read_bytes()[8:12] == b"WEBP"
 
 
@@ -56,9 +59,11 @@ def test_an_episode_reaches_its_goal_with_all_of_its_tasks_in_any_order():
 
 def test_mistakes_are_one_line(run, tmp_path):
     with pytest.raises(UserError, match=r"must be a \.webp file in a folder that exists"):
-        demo.demo(run, 1, tmp_path / "films", tmp_path / "picture.gif")
+        demo.demo([], run, 1, tmp_path / "films", tmp_path / "picture.gif")
+    with pytest.raises(UserError, match=r"keeps no weights of block_push-gcbc, but of block_push-c_beso$"):
+        demo.demo(["block_push-gcbc"], run, 1, tmp_path / "films", None)
     (run / "models/block_push/c_beso/seed1.safetensors").unlink()
-    with pytest.raises(UserError, match="keeps no weights of c_beso"):
-        demo.demo(run, 1, tmp_path / "films", None)
+    with pytest.raises(UserError, match="keeps no weights: "):
+        demo.demo([], run, 1, tmp_path / "films", None)
     with pytest.raises(UserError, match="there is no film"):
         demo.side_by_side([], tmp_path / "picture.webp")

@@ -89,7 +89,7 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._start = self.table.state()
         self._wanted = options["tasks"].astype(bool)
         self._done: list[int] = []
-        return self.table.picture(self._shown), {**self._info(self._start), **goal}
+        return self._see(), {**self._info(self._start), **goal}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Carry out a relative action for 1/30 s. Raises UserError if it is not 7 finite numbers."""
@@ -98,7 +98,11 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         reported = self._wanted & tasks.completed(self._start, state)
         self._done += [int(task) for task in np.flatnonzero(reported) if task not in self._done]
         success = bool(self._wanted.any() and reported.sum() == self._wanted.sum())
-        return self.table.picture(self._shown), float(success), success, False, self._info(state)
+        return self._see(), float(success), success, False, self._info(state)
+
+    def _see(self) -> np.ndarray:
+        """What a policy sees now."""
+        return self.table.picture(self._shown)
 
     def _info(self, state: TableState) -> dict[str, Any]:
         return {
