@@ -118,7 +118,7 @@ class _Writer:
             self.close_file()
             path = self.folder / DATA.format(**_place(self.number))
             path.parent.mkdir(parents=True, exist_ok=True)
-            self.file = _parquet().ParquetWriter(path, self.schema)
+            self.file = _parquet().ParquetWriter(path, self.schema, write_page_checksum=True)
         data = {f"data/{key}": value for key, value in _place(self.number).items()}
         own = {f"meta/episodes/{key}": value for key, value in _place(0).items()}
         span = {"length": rows.stop - rows.start, "dataset_from_index": rows.start, "dataset_to_index": rows.stop}
@@ -257,10 +257,14 @@ def _rows(folder: Path, size: int | None) -> Iterator[tuple[Path, int, dict[str,
 
 
 def _batches(path: Path) -> Iterator[Any]:
+    columns = [IMAGE, *KEYS, "episode_index"]
     try:
-        yield from _parquet().ParquetFile(path).iter_batches(BATCH, columns=[IMAGE, *KEYS, "episode_index"])
+        file = _parquet().ParquetFile(path, page_checksum_verification=True)
+        yield from (batch.select(columns) for batch in file.iter_batches(BATCH, columns=columns))
     except Exception as error:  # pyarrow raises many kinds, some with many lines
-        raise UserError(f"{path} is truncated or is not a .parquet file ({type(error).__name__})") from None
+        raise UserError(
+            f"{path} is damaged, or has not the columns of `beso export` ({type(error).__name__})"
+        ) from None
 
 
 def _columns(table: Any, path: Path, size: int | None) -> dict[str, np.ndarray]:

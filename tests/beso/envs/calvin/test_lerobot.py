@@ -119,9 +119,21 @@ def test_frames_are_resized(tmp_path, folder, play):
     assert np.abs(raw.load(tmp_path / "again").frames - means).max() <= 1
 
 
-def damage_file(folder):
+def cut_file(folder):
     path = folder / "data/chunk-000/file-000.parquet"
     path.write_bytes(path.read_bytes()[:-50])
+
+
+def flip_bit_of_a_picture(folder):
+    path = folder / "data/chunk-000/file-000.parquet"
+    data = bytearray(path.read_bytes())
+    data[data.index(b"IDAT") + 20] ^= 1
+    path.write_bytes(data)
+
+
+def drop_column(folder):
+    path = folder / "data/chunk-000/file-000.parquet"
+    parquet.write_table(parquet.read_table(path).drop_columns(["segment_start"]), path)
 
 
 def forget_play(folder):
@@ -154,7 +166,9 @@ def pyarrow_array(rows, kind):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (damage_file, r"file-000.parquet is truncated or is not a .parquet file"),
+        (cut_file, "file-000.parquet is damaged"),
+        (flip_bit_of_a_picture, "file-000.parquet is damaged"),
+        (drop_column, "file-000.parquet is damaged, or has not the columns of `beso export`"),
         (forget_play, r"play.json is missing"),
         (rename_column, "no column of this name: absolute_action"),
         (changed("action", [np.nan] * 7), r"file-000.parquet: action holds nan at \[2, 0\]: every number"),
