@@ -73,11 +73,6 @@ class ModelConfig:
         """States after the window that the loss sees."""
         return 0
 
-    @property
-    def goal_at_end(self) -> bool:
-        """Whether the goal is the window's own last states."""
-        return False
-
     def check(self, sampling: Any) -> None:
         """Raise ValueError where a Sampling does not fit."""
         length = sampling.context_steps(self.context)

@@ -10,11 +10,9 @@ One sample from an episode of T steps, window W, goal window G (here W = 5, G = 
 The window starts anywhere that leaves room for a goal after it, so a goal never precedes its window, never overlaps
 it, and may be the episode's last state; with a horizon H it starts at most H steps after the window's last state, as
 hours of play without a cut need it. A share of the windows (`final_goals`) may have the last goal possible instead of
-a uniform one, as rollouts have demonstrations' last states for goals. Two methods want something else of the same
-windows: with `goal_at_end` the window's own last states are its goal, and `lookahead` adds the states that follow it:
+a uniform one, as rollouts have demonstrations' last states for goals. `lookahead` adds the states that follow a window:
 
     step            0  1  2  3  4  5  6  7  8  9  ...        T-1
-    goal at end                       [g]
     future, L = 3                         [f  f  f]              the last state again where the episode is over
 """
 
@@ -58,7 +56,6 @@ class WindowConfig:
     Attributes:
         window, goal_window: W and G.
         lookahead: L.
-        goal_at_end: the goal is the window's own last states.
         goal_horizon: H, or None for the rest of the episode.
         final_goals: share of windows, below 1, whose goal is the last one possible instead of a uniform one.
     """
@@ -66,7 +63,6 @@ class WindowConfig:
     window: int
     goal_window: int
     lookahead: int = 0
-    goal_at_end: bool = False
     goal_horizon: int | None = None
     final_goals: float = 0.0
 
@@ -91,13 +87,12 @@ class Windows:
     ) -> None:
         window, goal_window = config.window, config.goal_window
         starts, ends = dataset.episode_starts[episodes], dataset.episode_ends[episodes]
-        goal_room = 0 if config.goal_at_end else goal_window
-        room = ends - starts - window - goal_room + 1  # windows of each episode
+        room = ends - starts - window - goal_window + 1  # windows of each episode
         if room.min() <= 0:
             shortest = int((ends - starts).min())
             raise UserError(
                 f"window = {window}: the shortest episode has {shortest} steps, room for a window of at most"
-                f" {shortest - goal_room}" + (f" before a goal of {goal_room}" if goal_room else "")
+                f" {shortest - goal_window} before a goal of {goal_window}"
             )
         first_of_episode = np.repeat(starts - np.concatenate([[0], np.cumsum(room)[:-1]]), room)
         self.config = config
@@ -137,8 +132,6 @@ class Windows:
         device, window, final_goals = self._starts.device, self.config.window, self.config.final_goals
         chosen = torch.randint(len(self), (size,), generator=generator, device=device)
         start, last_step = self._starts[chosen], self._last_steps[chosen]
-        if self.config.goal_at_end:
-            return start, start + window - self.config.goal_window, last_step
         earliest, last = start + window, self._last_goals[chosen]
         uniform = torch.rand(size, generator=generator, device=device, dtype=torch.float64)
         rest = (uniform - final_goals) / (1 - final_goals)  # again uniform in [0, 1), where not negative

@@ -1,13 +1,14 @@
 """LMP: latent motor plans (Lynch et al. 2020) in HULC's variant (Mees et al. 2022; paper, "Latent Motor Plans").
 
-A conditional variational autoencoder over windows of play. Plan recognition sees the whole window and encodes how its
-end was reached into a latent plan z; the plan prior must guess z from the first state and the goal, which is the
-window's end; a recurrent decoder turns states, plan and goal into actions:
+A conditional variational autoencoder over windows of play. Plan recognition sees the whole window and encodes what is
+done in it into a latent plan z; the plan prior must guess z from the first state and the goal; a recurrent decoder
+turns states, plan and goal into actions:
 
     training     z ~ q(z | s_1 .. s_W)       a_t ~ p(a | s_1 .. s_t, z, g)     NLL + beta KL(q || prior)
     acting       z ~ p(z | s, g)  every `replan` steps, when the decoder's state starts anew too
 
-Plans are Gaussian with independent entries. The KL divergence is balanced: most of its gradient moves the prior.
+Plans are Gaussian with independent entries. The KL divergence is balanced: most of its gradient moves the prior. Goals
+are later states, as for every method; Lynch et al.'s are the windows' ends, which say nothing of goals that are far.
 """
 
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ from beso.networks.mlp import MLP
 from beso.networks.sequence import SequenceTransformer
 
 KL_BALANCE = 0.8  # share of the KL divergence's gradient that moves the prior (HULC)
-SMALLEST_STD = 1e-4
+SMALLEST_STD = 0.1  # Hafner et al.'s (2019); with HULC's 1e-4 a single batch's divergence can grow beyond 1e6
 
 
 @dataclass(frozen=True)
@@ -76,11 +77,6 @@ class Config(ModelConfig):
     def context(self) -> int:
         """What came before is in the decoder's state."""
         return 1
-
-    @property
-    def goal_at_end(self) -> bool:
-        """The goal is where the window leads."""
-        return True
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,6 @@ class Training:
             window=model.window,
             goal_window=spec.goal_window,
             lookahead=model.lookahead,
-            goal_at_end=model.goal_at_end,
             goal_horizon=job.goal_horizon,
             final_goals=model.final_goals,
         )

@@ -134,15 +134,6 @@ def test_the_future_follows_the_window_and_stops_at_the_episodes_end(data, spec)
     assert batch.goal_step.min() == 1
 
 
-def test_a_goal_at_the_end_is_the_windows_last_states_masked(data, spec):
-    episodes = np.arange(len(LENGTHS))
-    scaling = Scaling.fit(data, episodes, spec)
-    batch = Windows(data, episodes, scaling, WindowConfig(5, 2, goal_at_end=True)).sample(
-        50, torch.Generator().manual_seed(0)
-    )
-    assert torch.equal(batch.goal, scaling.mask_goals(batch.observations[:, -2:]))
-
-
 def test_actions_are_those_of_the_windows_episodes(data, spec):
     scaling = Scaling.fit(data, np.arange(len(LENGTHS)), spec)
     actions = Windows(data, np.array([1, 3]), scaling, WindowConfig(5, 1)).actions

@@ -71,7 +71,7 @@ def join(folder, frames, make_job):
         model, episodes = job.config.model, np.arange(3)
         policy = methods.load(name).Method(model, None, SPEC.sizes, torch_generator(0, "initial weights"))
         scaling = Scaling.fit(frames, episodes, SPEC)
-        config = WindowConfig(model.window, 1, model.lookahead, model.goal_at_end)
+        config = WindowConfig(model.window, 1, model.lookahead)
         windows = Windows(frames, episodes, scaling, config)
         policy.prepare(windows.actions, 0)
         return finetuned.join(policy, folder, frames, episodes).train(), windows
