@@ -12,7 +12,7 @@
 A spec may also have SINGLE_TASKS, those that a trial can ask for by itself; which of them trials ask for is then a
 parameter (`evaluation.tasks`). An environment that sees images has, instead of `record` and `published.py`,
 
-    <name>/demonstrations/recording.py  record, join, convert: raw play, with frames (beso.envs.protocol.Recording)
+    <name>/demonstrations/recording.py  record, join, convert, export: raw play, with frames (protocol.Recording)
     <name>/demonstrations/raw.py        load(folder): raw play
     <name>/probe.py                     TARGETS: what the features should tell (beso.images.probe)
     <name>/states.py                    the same with the simulator's states for images, if it likes (`beso states`)
