@@ -201,9 +201,10 @@ def watch(cell: str, models: Path, seed: int, episode: int, run: Path, film: Pat
 @click.argument("folder", type=At())
 @click.option("--seed", type=int, default=1, show_default=True, help="The trained model.")
 def spec(folder: Path, seed: int) -> None:
-    """Print what a trained policy takes and gives, and how it is sampled.
+    """Print what a trained policy takes and gives.
 
-    FOLDER is the policy's, like models/block_push/c_beso: sizes, order and units of its observations, goals, actions.
+    FOLDER is the policy's, like models/block_push/c_beso: sizes, order and units of its observations, goals, actions,
+    and how it is sampled.
     """
     from beso.policy import Policy
 
@@ -252,6 +253,23 @@ def import_(folder: Path) -> None:
 
 
 @cli.command()
+@click.argument("env")
+@click.option(
+    "--format", "form", type=click.Choice(["minari", "lerobot", "official"]), default="minari", show_default=True
+)
+@path("--out", "exported", "Folder for the dataset.")
+def export(env: str, form: str, out: Path) -> None:
+    """Write an environment's play as a Minari or LeRobot dataset.
+
+    The play comes from `beso run collect` (or `features`). LeRobot's form and the official one hold pictures:
+    environments whose policies see states have neither. `environments.ENV.collect.folder` takes what is written.
+    """
+    from pipeline.tools.export import export
+
+    export(env, form, out)
+
+
+@cli.command()
 def lock() -> None:
     """Write the versions of installed packages to constraints/.
 
@@ -279,7 +297,10 @@ def goal_use(cell: str) -> None:
 @click.option("--seed", default=77, show_default=True, help="Of the trials, not those that are reported.")
 @path("--folder", "states", "Of play and models.")
 def states(cell: str, steps: int, updates: int | None, trials: int, seed: int, folder: Path) -> None:
-    """Judge play and a recipe on the simulator's states, where policies see images."""
+    """Judge play and a recipe on the simulator's states.
+
+    For environments whose policies see images.
+    """
     from pipeline.tools.states import judge
 
     judge(cell, steps, updates, trials, seed, folder)

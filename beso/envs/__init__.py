@@ -12,13 +12,25 @@
 A spec may also have SINGLE_TASKS, those that a trial can ask for by itself; which of them trials ask for is then a
 parameter (`evaluation.tasks`). An environment that sees images has, instead of `record` and `published.py`,
 
-    <name>/demonstrations/recording.py  record, join, convert: raw play, with frames (beso.envs.protocol.Recording)
+    <name>/demonstrations/recording.py  record, join, convert, export: raw play, with frames (protocol.Recording)
     <name>/demonstrations/raw.py        load(folder): raw play
     <name>/probe.py                     TARGETS: what the features should tell (beso.images.probe)
     <name>/states.py                    the same with the simulator's states for images, if it likes (`beso states`)
 
 Rooms are imported by name and piece by piece, so that training needs no simulator and a pipeline cell depends on the
 parts of its own room alone.
+
+Importing this package registers all environments with gymnasium, if it is installed. A room's simulator is imported
+when its environment is made:
+
+    import gymnasium
+    import beso.envs
+
+    env = gymnasium.make("beso/BlockPush-v0", render_mode="rgb_array", max_episode_steps=300)
+    observation, info = env.reset(seed=0)           # info["goal"] is a goal for a policy
+
+The folder block_push holds `beso/BlockPush-v0`, the class BlockPushEnv. Its docstring tells the keyword arguments. An
+episode has no limit of its own.
 """
 
 from __future__ import annotations
@@ -45,6 +57,11 @@ def names() -> list[str]:
     """Names of all environments: the rooms that have a spec; one without is not finished."""
     rooms = [m.name for m in pkgutil.iter_modules(__path__) if m.ispkg]
     return sorted(name for name in rooms if (Path(__path__[0]) / name / "spec.py").is_file())
+
+
+def gymnasium_name(name: str) -> str:
+    """The name of one environment in gymnasium's registry."""
+    return f"beso/{_camel(name)}-v0"
 
 
 def spec(name: str) -> PlaySpec:
@@ -139,3 +156,19 @@ def _no_opengl() -> Iterator[None]:
         del os.environ["MUJOCO_GL"]
         if chosen is not None:
             os.environ["MUJOCO_GL"] = chosen
+
+
+def _camel(name: str) -> str:
+    return name.title().replace("_", "")
+
+
+def _register() -> None:
+    try:
+        import gymnasium
+    except ImportError:  # who trains needs no simulator
+        return
+    for name in names():
+        gymnasium.register(gymnasium_name(name), entry_point=f"beso.envs.{name}.simulator:{_camel(name)}Env")
+
+
+_register()

@@ -41,6 +41,9 @@ class Recording(Protocol):
     def convert(self, published: Path, folder: Path, size: int, workers: int) -> None:
         """Write the raw play of published data."""
 
+    def export(self, play: Any, folder: Path, form: str) -> None:
+        """Write raw play, as `Raw.load` gives it, in a form that others use."""
+
 
 class RawPlay(Protocol):
     """Raw play in memory, memory-mapped; its frames lie in `frames.npy` beside the rest.

@@ -3,6 +3,8 @@ import os
 import subprocess
 import sys
 
+import gymnasium
+import numpy as np
 import pytest
 
 from beso import envs
@@ -42,6 +44,37 @@ print(os.environ["MUJOCO_GL"])
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.split()[-1] == settings["MUJOCO_GL"], "as it was"
+
+
+def test_importing_them_imports_neither_torch_nor_a_simulator():
+    code = """
+import sys, gymnasium, beso.envs
+heavy = {"torch", "mujoco", "gymnasium_robotics", "pybullet", "cv2"}
+assert not heavy & sys.modules.keys(), heavy & sys.modules.keys()
+assert {beso.envs.gymnasium_name(name) for name in beso.envs.names()} <= gymnasium.registry.keys()
+sys.modules["gymnasium"] = None
+del sys.modules["beso.envs"]
+import beso.envs
+"""
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", envs.names())
+def test_gymnasium_makes_each_with_a_goal_and_numbers_in_its_spaces(name):
+    env = gymnasium.make(envs.gymnasium_name(name), max_episode_steps=3)
+    spec = envs.spec(name)
+    observation, info = env.reset(seed=0)
+    assert info["goal"].shape == (spec.goal_window, *env.observation_space.shape)
+    assert (env.action_space.shape, env.action_space.dtype) == ((spec.action_size,), np.float32)
+    for space in (env.observation_space, env.action_space):
+        assert space.is_bounded()
+    for _ in range(3):
+        assert env.observation_space.contains(observation)
+        observation, _, _, truncated, _ = env.step(env.action_space.sample())
+    assert truncated
+    env.close()
 
 
 @pytest.mark.parametrize("name", envs.names())

@@ -14,8 +14,12 @@ import numpy as np
 import pytest
 import torch
 
+from beso.data import play
+from beso.data.play import Episode
+from beso.envs import minari_data
 from beso.envs.block_push.demonstrations import published as block_push
-from beso.envs.calvin.demonstrations import official, raw
+from beso.envs.block_push.spec import SPEC
+from beso.envs.calvin.demonstrations import lerobot, official, raw
 from beso.envs.calvin.demonstrations.scripted import Step
 from beso.envs.kitchen.demonstrations import published as kitchen
 from beso.errors import UserError
@@ -56,7 +60,16 @@ def write_minari(folder):
         storage.update_episodes([EpisodeBuffer(id=i, observations={"observation": states}, actions=actions, **ends)])
 
 
-def write_calvin(folder):
+def write_exported(folder):
+    pytest.importorskip("h5py")
+    rng, tasks = np.random.default_rng(0), np.eye(5, 4)
+    episodes = [Episode(rng.uniform(-0.05, 0.05, (5, 16)), rng.uniform(-0.05, 0.05, (5, 2)), tasks) for _ in range(2)]
+    dataset = play.assemble(episodes, SPEC, {"source": "random"})
+    minari_data.write(dataset, SPEC, "beso/BlockPush-v0", folder)
+    shutil.move(folder / "beso/block_push-v0/data", folder / "data")
+
+
+def write_calvin(folder, export=lambda play, folder: official.export(play, folder / "training")):
     rng = np.random.default_rng(0)
 
     def step(i):
@@ -66,12 +79,26 @@ def write_calvin(folder):
         return Step(frame, rng.normal(size=15), rng.normal(size=24), *actions, tasks, i == 0, "push")
 
     raw.write([[step(i) for i in range(5)] for _ in range(2)], folder / "raw", {"source": "random", "seed": 0})
-    official.export(raw.load(folder / "raw"), folder / "training")
+    export(raw.load(folder / "raw"), folder)
     shutil.rmtree(folder / "raw")
 
 
 def load_calvin(folder):
     official.convert([official.layout(folder / "training")], folder / "target", size=None, workers=1, meta={})
+    return raw.load(folder / "target")
+
+
+def write_lerobot(folder):
+    pytest.importorskip("pyarrow")
+    # What lies beside tells people and LeRobot more than is read again.
+    write_calvin(folder, lambda play, folder: lerobot.export(play, folder / "set"))
+    for name in (lerobot.STATS, lerobot.TASKS):
+        (folder / "set" / name).unlink()
+    shutil.rmtree(folder / "set/meta/episodes")
+
+
+def load_lerobot(folder):
+    lerobot.convert(folder / "set", folder / "target", size=None)
     return raw.load(folder / "target")
 
 
@@ -85,7 +112,9 @@ IMPORTERS = {
         kitchen.load,
     ),
     "kitchen_minari": (write_minari, kitchen.load),
+    "block_push_exported": (write_exported, block_push.load),
     "calvin": (write_calvin, load_calvin),
+    "calvin_lerobot": (write_lerobot, load_lerobot),
 }
 
 
@@ -126,7 +155,7 @@ def attempt(name, case, good, folder):
     except Exception as error:
         wrong = f"{type(error).__name__}: {error}"
     else:
-        parts = [found.rel_actions] if name == "calvin" else [found.observations, found.actions]
+        parts = [found.rel_actions] if name.startswith("calvin") else [found.observations, found.actions]
         if not all(np.isfinite(part).all() for part in parts):
             wrong = "numbers that are not finite"
     if (took := time.process_time() - start) > LONGEST:
@@ -144,7 +173,14 @@ def test_changed_files_are_read_or_refused_in_one_line(name, tmp_path):
 
 
 # Cases that an importer once failed.
-FOUND = {"block_push": (), "kitchen": (), "kitchen_minari": (), "calvin": ()}
+FOUND = {
+    "block_push": (),
+    "kitchen": (),
+    "kitchen_minari": (),
+    "block_push_exported": (),
+    "calvin": (),
+    "calvin_lerobot": (),
+}
 
 
 def main(seconds):

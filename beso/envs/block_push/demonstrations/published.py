@@ -7,14 +7,14 @@ N demonstrations padded to T steps:
     multimodal_push_masks.npy          (N, T), 1 for the steps of the demonstration, then 0
     onehot_goals.pth                   (N, T, 4), 1 at the first entry of each (block, target) pair
 
-Each array may be a .npy or a .pth file of that stem.
+Each array may be a .npy or a .pth file of that stem. Or a Minari dataset that `beso export` wrote.
 """
 
 import math
 from pathlib import Path
 
 from beso.data.play import Episode, PlayDataset, assemble
-from beso.envs import published
+from beso.envs import minari_data, published
 from beso.envs.block_push.spec import LONGEST, SPEC
 from beso.files import sha256
 
@@ -36,6 +36,8 @@ def load(folder: Path) -> PlayDataset:
         UserError: a file is missing or damaged, shapes do not fit together, a mask is not a run of ones followed by
             zeros, or a demonstration is not one of block push (beso.envs.published.check).
     """
+    if dataset := minari_data.opened(folder):
+        return minari_data.read(dataset, SPEC, LARGEST)
     arrays, paths = published.padded(folder, FILES, WIDTHS, LONGEST, ("demonstrations", "steps"))
     episodes = []
     for i, length in enumerate(published.lengths(arrays["masks"], paths["masks"])):

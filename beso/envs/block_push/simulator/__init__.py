@@ -1,9 +1,5 @@
-"""The simulated environment, registered with gymnasium as `beso/BlockPush-v0`."""
-
-import gymnasium
+"""The simulated environment, `beso/BlockPush-v0`."""
 
 from beso.envs.block_push.simulator.environment import BlockPushEnv
 
 __all__ = ["BlockPushEnv"]
-
-gymnasium.register("beso/BlockPush-v0", entry_point="beso.envs.block_push.simulator:BlockPushEnv")

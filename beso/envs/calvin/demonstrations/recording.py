@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from beso.envs.calvin.demonstrations import official, raw, scripted
+from beso.envs.calvin.demonstrations import lerobot, official, raw, scripted
 from beso.errors import UserError
 
 TRAINING, VALIDATION = "training", "validation"  # folders of the published data
@@ -23,8 +23,12 @@ def join(parts: list[Path], folder: Path, seed: int) -> None:
 def convert(published: Path, folder: Path, size: int, workers: int) -> None:
     """Write the raw play of a published data set: the folder that holds `training` and, usually, `validation`.
 
-    The episodes of `validation` come last and are held out; meta.json says which those are.
+    Or of a LeRobot dataset that `export` wrote. The episodes of `validation` come last and are held out; meta.json says
+    which those are.
     """
+    if lerobot.is_dataset(published):
+        lerobot.convert(published, folder, size)
+        return
     if not (published / TRAINING).is_dir():
         raise UserError(f"{published} has no folder `{TRAINING}`: `folder` must be the one that holds CALVIN's")
     splits = [published / TRAINING]
@@ -38,3 +42,17 @@ def convert(published: Path, folder: Path, size: int, workers: int) -> None:
     held_out = list(range(counts[0], sum(counts)))
     meta = {"source": "published CALVIN", "held_out_episodes": held_out}
     official.convert(layouts, folder, size, workers, meta)
+
+
+def export(play: raw.RawPlay, folder: Path, form: str) -> None:
+    """Write raw play in another form: "lerobot", or "official", CALVIN's own with all episodes in `training`.
+
+    Raises:
+        UserError: there is no such form.
+    """
+    if form == "lerobot":
+        lerobot.export(play, folder)
+    elif form == "official":
+        official.export(play, folder / TRAINING)
+    else:
+        raise UserError(f"form {form!r} is not one of lerobot, official")

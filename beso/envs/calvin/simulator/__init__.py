@@ -1,9 +1,5 @@
-"""The CALVIN play table on PyBullet; importing this package registers `beso/Calvin-v0` with gymnasium."""
-
-import gymnasium
+"""The CALVIN play table on PyBullet, `beso/Calvin-v0`."""
 
 from beso.envs.calvin.simulator.environment import CalvinEnv
 
 __all__ = ["CalvinEnv"]
-
-gymnasium.register("beso/Calvin-v0", entry_point="beso.envs.calvin.simulator.environment:CalvinEnv")

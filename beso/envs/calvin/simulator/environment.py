@@ -14,18 +14,18 @@ import numpy as np
 
 from beso.checks import not_copied, numbers
 from beso.envs.calvin.simulator import tasks
-from beso.envs.calvin.simulator.observations import ACTION_SIZE
+from beso.envs.calvin.simulator.observations import ACTION_SIZE, DRAWER
 from beso.envs.calvin.simulator.play_table import CONTROL_HZ, PlayTable
-from beso.envs.calvin.simulator.spawn import CLOSED_FIXTURES, draw_scene
+from beso.envs.calvin.simulator.spawn import CLOSED_FIXTURES, OPEN_DRAWER, draw_scene
 from beso.envs.calvin.simulator.state import TableState
 
 
 class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """Gymnasium environment `beso/Calvin-v0`.
+    """Gymnasium environment `beso/Calvin-v0`; `gymnasium.make` knows the name once beso.envs is imported.
 
     Args:
         render_mode: None, or "rgb_array" for pictures from `render()`.
-        size: height and width of observations, pixels, in episodes without a goal.
+        size: height and width of observations, pixels, unless `reset` is given a goal of another size.
         render_size: height and width of rendered pictures, pixels.
         assets: folder with CALVIN's own files, or None for ours.
 
@@ -62,19 +62,26 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
         `options` may give "scene_obs" (24,), else everything is closed and off and the blocks' places are drawn;
         "robot_obs" (15,), else the arm starts at its neutral pose; "tasks" (34,), 1 for the wanted ones, else there are
-        none; "goal" (1, size, size, 3), which `info` then returns. Observations are as large as the goal.
+        none; "goal" (1, size, size, 3), which `info` then returns. Observations are as large as the goal. Without
+        options, the drawer is to be opened: `info["goal"]` is a picture of the start with an open drawer.
 
         Raises:
             UserError: one of these has another shape, or a number that is not finite.
         """
         super().reset(seed=seed)
-        options = dict(options or {})
+        own_goal, options = not options, dict(options or {})
         if "goal" in options:
             options["goal"] = numbers("goal", options["goal"], (None, None, None, 3))
         options["tasks"] = numbers("tasks", options.get("tasks", np.zeros(len(tasks.NAMES))), (len(tasks.NAMES),))
         scene_obs = options.get("scene_obs")
         if scene_obs is None:
             scene_obs = draw_scene(self.np_random, CLOSED_FIXTURES)
+        if own_goal:
+            options["tasks"][tasks.NAMES.index("open_drawer")] = 1
+            opened = scene_obs.copy()
+            opened[DRAWER] = OPEN_DRAWER
+            self.table.reset(opened)
+            options["goal"] = self.table.picture(self.size)[None]
         self.table.reset(scene_obs, options.get("robot_obs"))
         goal = {"goal": options["goal"]} if "goal" in options else {}
         self._goal: np.ndarray | None = options["goal"][-1] if goal else None

@@ -9,10 +9,10 @@ demonstrations padded to T steps, time first. Each array may be a .npy or a .pth
     onehot_goals       (T, N, 7)   1 at the task that is being done; a task's last 1 is taken for its completion
 
 Or a Minari dataset of FrankaKitchen-v1 (D4RL/kitchen/...): the folder that holds main_data.hdf5, or its parent. Its
-observations have velocities, which are left out; what is done when is read off the observations.
+observations have velocities, which are left out; what is done when is read off the observations. One that `beso export`
+wrote is read as it is.
 """
 
-import importlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 
 from beso.data.play import Episode, PlayDataset, assemble
-from beso.envs import published
+from beso.envs import minari_data, published
 from beso.envs.kitchen.spec import SPEC, done
+from beso.envs.minari_data import HDF5, Opened
 from beso.errors import UserError
 from beso.files import sha256
 
@@ -43,7 +44,6 @@ COLUMNS = (  # of onehot_goals
 )
 LONGEST = 409  # steps of the longest published demonstration
 
-HDF5 = "main_data.hdf5"
 FRANKA_KITCHEN_WIDTH = 59
 ROBOT, OBJECTS = slice(0, 9), slice(18, 39)  # in observations of FrankaKitchen-v1; the rest are velocities
 
@@ -58,9 +58,8 @@ def load(folder: Path) -> PlayDataset:
         UserError: a file is missing or damaged, shapes do not fit together, a mask is not a run of ones followed by
             zeros, a value is not finite or out of range, or the package that reads the files is not installed.
     """
-    for place in (folder, folder / "data"):
-        if (place / HDF5).is_file():
-            return _load_minari(place)
+    if dataset := minari_data.opened(folder):
+        return _load_minari(dataset)
     try:
         return _load_relay(folder)
     except published.NothingError:
@@ -80,23 +79,15 @@ def _load_relay(folder: Path) -> PlayDataset:
         published.check((observations, actions, tasks), SPEC, LARGEST, f"{folder}: demonstration {i}")
         # A task is completed at its last 1.
         episodes.append(Episode(observations, actions, published.first_entries(tasks[::-1, columns])[::-1]))
-    return _assembled(episodes, "published relay kitchen", list(paths.values()))
+    files = {path.name: sha256(path) for path in paths.values()}
+    return assemble(episodes, SPEC, {"source": "published relay kitchen", "files": files})
 
 
-def _load_minari(folder: Path) -> PlayDataset:
-    path = folder / HDF5
-    try:
-        dataset = importlib.import_module("minari").MinariDataset(folder)
-        recorded = list(dataset.iterate_episodes())
-    except ImportError as error:
-        raise UserError(
-            f"{path} is a Minari dataset; reading it needs the packages minari and h5py: "
-            f"install this project with its extra [minari] ({error})"
-        ) from None
-    except Exception as error:  # damage shows in many kinds of exception, some with many lines
-        raise UserError(f"{path} is damaged or no Minari dataset ({type(error).__name__})") from None
-    episodes = list(_minari_episodes(recorded, path))
-    return _assembled(episodes, "Minari kitchen", [path, folder / "metadata.json"])
+def _load_minari(dataset: Opened) -> PlayDataset:
+    if dataset.exported:
+        return minari_data.read(dataset, SPEC, LARGEST)
+    episodes = list(_minari_episodes(dataset.episodes, dataset.path))
+    return assemble(episodes, SPEC, {"source": "Minari kitchen", "files": dataset.digests})
 
 
 def _minari_episodes(recorded: list[Any], path: Path) -> Iterator[Episode]:
@@ -114,7 +105,3 @@ def _minari_episodes(recorded: list[Any], path: Path) -> Iterator[Episode]:
         tasks = done(coordinates)
         published.check((coordinates, episode.actions, tasks), SPEC, LARGEST, f"{path}: demonstration {i}")
         yield Episode(coordinates, episode.actions, published.first_entries(tasks))
-
-
-def _assembled(episodes: list[Episode], source: str, paths: list[Path]) -> PlayDataset:
-    return assemble(episodes, SPEC, {"source": source, "files": {path.name: sha256(path) for path in paths}})

@@ -1,9 +1,5 @@
-"""The simulated relay kitchen, registered with gymnasium as `beso/Kitchen-v0` when this package is imported."""
-
-import gymnasium
+"""The simulated relay kitchen, `beso/Kitchen-v0`."""
 
 from beso.envs.kitchen.simulator.environment import KitchenEnv
 
 __all__ = ["KitchenEnv"]
-
-gymnasium.register("beso/Kitchen-v0", entry_point="beso.envs.kitchen.simulator:KitchenEnv")

@@ -20,7 +20,7 @@ import numpy as np
 from beso.checks import not_copied, numbers
 from beso.envs.kitchen import spec
 from beso.envs.kitchen.simulator.camera import Camera
-from beso.envs.kitchen.simulator.franka_kitchen import franka_kitchen
+from beso.envs.kitchen.simulator.franka_kitchen import ROBOT_NOISE_RATIO, franka_kitchen
 
 ROBOT, OBJECTS = slice(0, 9), slice(18, 39)  # in the wrapped environment's observation; the rest are velocities
 # Largest noise of the 21 objects' coordinates: 0.1 times the amplitudes that the relay environment takes from its
@@ -28,32 +28,44 @@ ROBOT, OBJECTS = slice(0, 9), slice(18, 39)  # in the wrapped environment's obse
 # first.
 AMPLITUDES = (0.005, 0.0005, 0.005, 0.1, 0.005, 0.1, 0.005)
 OBJECT_NOISE = 0.1 * np.repeat(AMPLITUDES, (2, 6, 3, 3, 3, 3, 1))
+LARGEST = 11.0  # rad or m: the widest bound in the robot's and kitchen's configuration is 10.57
+GOAL_TASKS = (spec.MICROWAVE, spec.KETTLE, spec.LIGHT_SWITCH, spec.SLIDE_CABINET)  # of D4RL's kitchen-complete
 
 
 class KitchenEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """Gymnasium environment `beso/Kitchen-v0`.
+    """Gymnasium environment `beso/Kitchen-v0`; `gymnasium.make` knows the name once beso.envs is imported.
 
     Every episode starts in the same state; the seed fixes the noise. The reward is 1 for each of the seven tasks that
     is done for the first time in an episode, and the episode ends when all are done.
 
     `info["tasks"]` is the tuple of tasks done so far (indices into spec.TASKS) in order. `info["goal"]` after a reset
-    is what `options["goal"]` gave: (G, 30) states for a goal-conditioned policy.
+    is a goal for a policy, (G, 30) states: what `options["goal"]` gave, else the first observation twice, but with
+    microwave, kettle, light switch and slide cabinet done. Goals of demonstrations have another pose of the robot.
 
     Args:
         render_mode: None, or "rgb_array" for pictures of `render_size` pixels.
         render_size: (height, width) of rendered pictures.
+        noise: factor of the observations' noise. 1 in play data and evaluation, 0 for none.
+
+    Raises:
+        ValueError: an unknown render_mode, or a noise that is negative or not finite.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 12}  # noqa: RUF012 (as gymnasium has it)
     __copy__ = __deepcopy__ = not_copied
 
-    def __init__(self, render_mode: str | None = None, render_size: tuple[int, int] = (240, 320)) -> None:
+    def __init__(
+        self, render_mode: str | None = None, render_size: tuple[int, int] = (240, 320), noise: float = 1.0
+    ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode {render_mode!r} is not one of None, 'rgb_array'")
-        self.render_mode, self.render_size = render_mode, render_size
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, shape=(30,), dtype=np.float64)
+        if not 0 <= noise < np.inf:
+            raise ValueError(f"noise {noise!r} is not a number from 0 up")
+        self.render_mode, self.render_size, self.noise = render_mode, render_size, noise
+        self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, shape=(30,), dtype=np.float64)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, shape=(9,), dtype=np.float32)
         self._kitchen = franka_kitchen()
+        self._kitchen.robot_env.robot_noise_ratio = noise * ROBOT_NOISE_RATIO
         self._tasks: list[int] = []
         self._camera: Camera | None = None
 
@@ -79,10 +91,14 @@ class KitchenEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         # The wrapped environment draws the robot's noise from a stream of its own.
         observation, _ = self._kitchen.reset(seed=int(self.np_random.integers(2**31)))
         self._tasks = []
-        info: dict[str, Any] = {"tasks": ()}
+        state = self._state(observation)
         if options and "goal" in options:
-            info["goal"] = np.array(numbers("goal", options["goal"], (None, 30)))
-        return self._state(observation), info
+            goal = np.array(numbers("goal", options["goal"], (None, 30)))
+        else:
+            goal = np.tile(state, (spec.SPEC.goal_window, 1))
+            for task in GOAL_TASKS:
+                goal[:, list(spec.TASKS[task].element)] = spec.TASKS[task].goal
+        return state, {"tasks": (), "goal": goal}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Move the joints with velocities `action`, (9,) in units of 2 rad/s, for 0.08 s."""
@@ -97,7 +113,8 @@ class KitchenEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def _state(self, observation: dict[str, Any]) -> np.ndarray:
         """The relay environment's 30 numbers of the wrapped environment's 59."""
         robot, objects = observation["observation"][ROBOT], observation["observation"][OBJECTS]
-        return np.concatenate([robot, objects + OBJECT_NOISE * self.np_random.uniform(-1, 1, len(OBJECT_NOISE))])
+        noise = self.noise * OBJECT_NOISE * self.np_random.uniform(-1, 1, len(OBJECT_NOISE))
+        return np.concatenate([robot, objects + noise])
 
     def render(self) -> np.ndarray | None:
         """A picture of the scene, (height, width, 3) uint8 RGB.

@@ -26,6 +26,7 @@ def place(env, block, xy):
     env._place(env._blocks[block], np.asarray(xy), 0.02, 0.0)
 
 
+@pytest.mark.filterwarnings("error")
 def test_passes_gymnasiums_checker():
     env = gymnasium.make("beso/BlockPush-v0", render_mode="rgb_array").unwrapped
     check_env(env)
@@ -136,7 +137,12 @@ def test_reset_answers_with_the_fitting_goal(env):
     state = np.arange(16.0)[None]
     observation, info = env.reset(seed=3, options={"goal": state})
     assert np.array_equal(info["goal"], fitting_goal(state, observation))
-    assert "goal" not in env.reset(seed=3)[1]
+
+
+def test_a_goal_of_its_own_has_each_block_in_its_target(env):
+    observation, info = env.reset(seed=3)
+    assert np.array_equal(info["goal"][:, [0, 1, 3, 4]], observation[None, [10, 11, 13, 14]])
+    assert np.array_equal(info["goal"][:, 5:], observation[None, 5:])
 
 
 def result(info, wanted):

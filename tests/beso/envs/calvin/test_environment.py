@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import beso.envs.calvin.simulator  # noqa: F401 (registers the environment)
 from beso.envs.calvin.simulator import CalvinEnv
+from beso.envs.calvin.spec import SPEC
 from beso.errors import UserError
 
 
@@ -17,6 +17,7 @@ def env():
     env.close()
 
 
+@pytest.mark.filterwarnings("error")
 def test_passes_gymnasiums_checker():
     env = gymnasium.make("beso/Calvin-v0", render_mode="rgb_array").unwrapped
     assert env.observation_space.shape == (112, 112, 3)
@@ -28,7 +29,7 @@ def test_observations_are_pictures_and_info_tells_the_state(env):
     observation, info = env.reset(seed=0)
     assert observation.dtype == np.uint8
     assert observation.shape == (48, 48, 3)
-    assert set(info) == {"robot_obs", "scene_obs", "state", "tasks"}
+    assert set(info) == {"robot_obs", "scene_obs", "state", "tasks", "goal"}
     assert info["scene_obs"][:6] == pytest.approx(np.zeros(6), abs=1e-3)
     _, reward, terminated, truncated, after = env.step(np.array([1, 0, 0, 0, 0, 0, 1], dtype=np.float32))
     assert (reward, terminated, truncated) == (0.0, False, False)
@@ -41,6 +42,15 @@ def test_reset_to_a_given_state_with_a_goal(env, scene):
     _, info = env.reset(options={"scene_obs": scene, "goal": goal})
     assert info["scene_obs"] == pytest.approx(scene, abs=1e-3)
     assert info["goal"] is goal
+
+
+def test_without_options_the_drawer_is_to_be_opened(env):
+    observation, info = env.reset(seed=0)
+    assert info["goal"].shape == (1, 48, 48, 3)
+    assert 0.01 < (info["goal"][0] != observation).any(axis=-1).mean() < 0.3, "the drawer alone differs"
+    env.table.fixtures.reset([0, 0.2, 0, 0, 0, 0])
+    _, reward, terminated, _, info = env.step(np.zeros(7))
+    assert (reward, terminated, info["tasks"]) == (1.0, True, (SPEC.tasks.index("open_drawer"),))
 
 
 def test_same_seed_same_episode(env):

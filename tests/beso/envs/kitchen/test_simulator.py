@@ -37,7 +37,7 @@ def can_draw():
     return True
 
 
-@pytest.mark.filterwarnings("ignore:.*Box observation space.*infinity")  # true of the wrapped environment too
+@pytest.mark.filterwarnings("error")
 def test_passes_gymnasiums_checker():
     env = gymnasium.make("beso/Kitchen-v0", render_mode="rgb_array").unwrapped
     check_env(env, skip_render_check=not can_draw())
@@ -166,7 +166,26 @@ def test_nothing_handed_out_is_changed_later(env):
     assert first["tasks"] == ()
     goal[:] = 0
     assert np.array_equal(info["goal"], np.arange(60.0).reshape(2, 30))
-    assert "goal" not in env.reset(seed=0)[1]
+
+
+def test_a_goal_of_its_own_has_four_tasks_done(env):
+    observation, info = env.reset(seed=0)
+    assert info["goal"].shape == (2, 30)
+    assert spec.done(info["goal"]).sum(axis=1).tolist() == [4, 4]
+    assert np.array_equal(info["goal"][:, :9], [observation[:9]] * 2), "the robot as it is"
+
+
+@pytest.mark.parametrize("noise", [0.0, 2.0])
+def test_noise_is_a_keyword(env, noise):
+    other = gymnasium.make("beso/Kitchen-v0", noise=noise).unwrapped
+    usual, scaled = (e.reset(seed=4)[0] - e.data.qpos for e in (env, other))
+    assert scaled == pytest.approx(noise * usual, abs=1e-12)
+
+
+@pytest.mark.parametrize("noise", [-1.0, np.nan, np.inf])
+def test_no_noise_is_refused(noise):
+    with pytest.raises(ValueError, match="is not a number from 0 up"):
+        KitchenEnv(noise=noise)
 
 
 def test_actions_are_clipped_and_not_altered(env):
