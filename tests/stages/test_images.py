@@ -194,8 +194,8 @@ def test_the_same_bytes_with_other_workers_and_after_a_kill(recorded, monkeypatc
     assert contents(paths.play("calvin")) == first
 
 
-def test_the_probe_compares_with_random_weights_and_the_state_itself(recorded):
-    give_raw(recorded)
+def test_the_probe_compares_with_random_weights_and_the_state_itself():
+    make_raw(dataclasses.replace(COLLECT, camera=parameters.Camera(length=60, size=40)))  # more steps than numbers
     run()
     table = pd.read_csv(paths.probe("calvin"))
     assert set(table["representation"]) == {"features", "random encoder", "state"}
