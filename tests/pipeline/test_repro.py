@@ -99,7 +99,7 @@ def test_diffs_name_what_changed(small):
     (line, *_) = [line for line in shown.splitlines() if "reports/metrics/block_push/gcbc/training.json" in line]
     assert line.split()[1] == "length"
     shown = small.dvc("metrics", "show").stdout.splitlines()
-    assert shown[0].split() == ["Path", "length", "result", "reward"]
+    assert shown[0].split() == ["Path", "length", "result", "result_std", "reward", "reward_std"]
     assert len(shown) == 1 + 2 * len(list((small.folder / "reports/metrics/block_push").iterdir())), "goal sets"
     assert max(map(len, shown)) < 120
 
