@@ -169,7 +169,7 @@ def report(names: tuple[str, str], runs: tuple[Run, Run], markdown: bool) -> str
         return "\n".join([f"{names[0]} and {names[1]} do not differ: the same in all {count:,} episodes.", *parameters])
     lines = list(compare(*runs))
     if not lines:
-        raise UserError(f"{names[0]} and {names[1]} have no cell in common of which both have results")
+        raise UserError(f"{names[0]} and {names[1]} have no results of the same cell")
     table = [HEADS, *(_texts(line, runs[0].params) for line in lines)]
     told = sum(text[8] in ("better", "worse") for text in table)
     notes = [

@@ -35,7 +35,7 @@ class SamplingConfig:
 
 @dataclass(frozen=True)
 class ContextSampling(SamplingConfig):
-    """The Sampling of a method of which nothing but the context can be chosen.
+    """The Sampling of a method that lets one choose its context alone.
 
     Attributes:
         context_length: time steps of the context in rollouts; null takes the training window.
@@ -102,12 +102,15 @@ class BaseMethod(Protocol):
         """Look at all scaled training actions (N, A) before the first update."""
 
     def schedule(self, done: float) -> bool:
-        """Hear before every update which share of the training is done.
+        """Adapt the loss to the share of the training that is done, from 0 to 1. Called before every update.
 
         Returns:
-            Whether the loss computes something else from now on, so that a recording of it does not serve any longer.
+            Whether the loss computes something else from now on. A CUDA graph of it is then recorded anew.
         """
         return False
 
     def settle(self) -> None:
-        """As averaged weights, before they are measured or saved: renew what is measured with the weights."""
+        """Renew what was measured with older weights.
+
+        Training calls it on the averaged weights, before it measures or saves them.
+        """

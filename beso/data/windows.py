@@ -39,7 +39,7 @@ class Batch(NamedTuple):
         future: (B, L, O) the states after the window, not masked.
         goal_step: (B,) steps from the window's last state to the goal's first.
 
-    Of a dataset of frames, states are not there but named: steps of the dataset, O = 1 whole number.
+    A dataset of frames has numbers of steps in place of states, so O is 1.
     """
 
     observations: Tensor

@@ -64,7 +64,7 @@ def difference(rows: pd.DataFrame, base: pd.DataFrame, metric: Metric) -> Estima
 
 
 def of_normal(mean: float, deviation: float, count: int) -> Estimate:
-    """The estimate of which only mean, standard deviation and number of seeds are known."""
+    """The estimate that a mean, a standard deviation and a number of seeds give."""
     half = float(stats.t.ppf(0.975, count - 1)) * deviation / math.sqrt(count)
     return Estimate(mean, deviation, mean - half, mean + half)
 

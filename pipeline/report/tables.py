@@ -63,11 +63,14 @@ def main_rows(params: Params, comparison: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def sheets(comparison: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """By the paper's name, each table that has numbers, as the paper has it.
+    """The paper's tables that have numbers, by the paper's name. Of each table:
 
-    `columns` are heads; `lines` a head and a row of the comparison a column (None where the table has no number), with
-    a line for each of our other goal sets; `studies` and `environments` what ours are of; `missing` heads of the rows
-    of which this run has nothing, `wanted` the cells and studies that those are of.
+    columns: heads of the columns.
+    lines: a head, then a row of the comparison for each column; None where the table has no number. Each of our other
+        goal sets has a line of its own.
+    studies, environments: those that our numbers come from.
+    missing: heads of the rows that this run has no numbers for.
+    wanted: the cells and studies that would give them.
     """
     found = {}
     for name, part in comparison.groupby("place", sort=False):

@@ -23,9 +23,8 @@ from beso.envs.kitchen.simulator.camera import Camera
 from beso.envs.kitchen.simulator.franka_kitchen import ROBOT_NOISE_RATIO, franka_kitchen
 
 ROBOT, OBJECTS = slice(0, 9), slice(18, 39)  # in the wrapped environment's observation; the rest are velocities
-# Largest noise of the 21 objects' coordinates: 0.1 times the amplitudes that the relay environment takes from its
-# configuration's 35, those of entries 9 to 29. The wrapped environment would use others, and the robot's last for its
-# first.
+# Largest noise of the 21 objects' coordinates: 0.1 times an amplitude. The relay environment's configuration has 35
+# amplitudes, and it takes entries 9 to 29 of them. The wrapped environment takes other entries.
 AMPLITUDES = (0.005, 0.0005, 0.005, 0.1, 0.005, 0.1, 0.005)
 OBJECT_NOISE = 0.1 * np.repeat(AMPLITUDES, (2, 6, 3, 3, 3, 3, 1))
 LARGEST = 11.0  # rad or m: the widest bound in the robot's and kitchen's configuration is 10.57
