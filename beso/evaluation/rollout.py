@@ -1,9 +1,8 @@
 """Seeded evaluation, batched over environments.
 
 Episodes run in fixed chunks; a chunk steps its environments together and asks the policy once a step for all that are
-still running. Starts and goals are made beforehand (see trials.py), and the policy noise of an episode comes from a
-generator named after its model seed and number, so that every method meets the same starts and the number of workers
-never changes a number.
+still running. Starts and goals are made beforehand (see trials.py), so every method meets the same. The policy noise of
+an episode comes from a generator named after its model seed and number. So the number of workers changes no number.
 """
 
 from collections.abc import Callable, Sequence
