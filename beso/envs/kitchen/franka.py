@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from beso.checks import numbers
-from beso.envs.kitchen.demonstrations.published import FRANKA_KITCHEN_WIDTH, OBJECTS, ROBOT
-from beso.envs.kitchen.spec import SPEC, TASKS
+from beso.envs.kitchen.demonstrations.published import FRANKA_KITCHEN_WIDTH
+from beso.envs.kitchen.spec import OBJECTS, ROBOT, SPEC, TASKS, goal_after
 from beso.errors import UserError
 
 
@@ -38,13 +38,14 @@ def goal(told: Mapping[str, Any]) -> np.ndarray:
     Raises:
         UserError: it is no such dictionary, or it wants a task that the kitchen does not have.
     """
-    state, wanted, tasks = observation(told), _entry(told, "desired_goal"), {task.name: task for task in TASKS}
-    if not isinstance(wanted, Mapping) or not wanted or not wanted.keys() <= tasks.keys():
-        raise UserError(f"desired_goal must map some of {', '.join(tasks)} to where their elements should be")
+    state, wanted = observation(told), _entry(told, "desired_goal")
+    if not isinstance(wanted, Mapping) or not wanted or not wanted.keys() <= {*SPEC.tasks}:
+        raise UserError(f"desired_goal must map some of {', '.join(SPEC.tasks)} to where their elements should be")
+    places = {}
     for name, place in wanted.items():
-        element = tasks[name].element
-        state[list(element)] = numbers(f"desired_goal of {name}", place, (len(element),))
-    return np.tile(state, (SPEC.goal_window, 1))
+        task = SPEC.tasks.index(name)
+        places[task] = numbers(f"desired_goal of {name}", place, (len(TASKS[task].element),))
+    return goal_after(state, places)
 
 
 def _entry(told: Mapping[str, Any], key: str) -> Any:

@@ -3,12 +3,14 @@
 The tasks' numbers are those of gymnasium-robotics' FrankaKitchen-v1 and of Gupta et al.'s relay environment (2019).
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from beso.data.spec import PlaySpec
 
+ROBOT, OBJECTS = slice(0, 9), slice(18, 39)  # in observations of FrankaKitchen-v1; the rest are velocities
 THRESHOLD = 0.3  # rad or m, the Euclidean distance of an element from its goal below which its task is done
 
 
@@ -58,3 +60,15 @@ SPEC = PlaySpec(
     goal_sets=("training", "held_out"),
     packages=("numpy", "mujoco", "gymnasium-robotics"),
 )
+
+
+def goal_after(state: np.ndarray, places: Mapping[int, Sequence[float] | np.ndarray]) -> np.ndarray:
+    """A goal, (G, 30): a state (30,), but with the elements of some tasks at other places.
+
+    Args:
+        places: a place for the element of each task, by the task's number.
+    """
+    goal = np.array(state)
+    for task, place in places.items():
+        goal[list(TASKS[task].element)] = place
+    return np.tile(goal, (SPEC.goal_window, 1))

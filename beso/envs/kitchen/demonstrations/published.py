@@ -21,7 +21,7 @@ import numpy as np
 
 from beso.data.play import Episode, PlayDataset, assemble
 from beso.envs import minari_data, published
-from beso.envs.kitchen.spec import SPEC, done
+from beso.envs.kitchen.spec import OBJECTS, ROBOT, SPEC, done
 from beso.envs.minari_data import HDF5, Opened
 from beso.errors import UserError
 from beso.files import sha256
@@ -45,7 +45,6 @@ COLUMNS = (  # of onehot_goals
 LONGEST = 409  # steps of the longest published demonstration
 
 FRANKA_KITCHEN_WIDTH = 59
-ROBOT, OBJECTS = slice(0, 9), slice(18, 39)  # in observations of FrankaKitchen-v1; the rest are velocities
 
 # rad or m: the widest bound in the robot's and kitchen's configuration is 10.57
 LARGEST = {"observations": 11.0, "actions": 1.0 + 1e-6}

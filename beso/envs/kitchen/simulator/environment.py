@@ -22,7 +22,6 @@ from beso.envs.kitchen import spec
 from beso.envs.kitchen.simulator.camera import Camera
 from beso.envs.kitchen.simulator.franka_kitchen import ROBOT_NOISE_RATIO, franka_kitchen
 
-ROBOT, OBJECTS = slice(0, 9), slice(18, 39)  # in the wrapped environment's observation; the rest are velocities
 # Largest noise of the 21 objects' coordinates: 0.1 times an amplitude. The relay environment's configuration has 35
 # amplitudes, and it takes entries 9 to 29 of them. The wrapped environment takes other entries.
 AMPLITUDES = (0.005, 0.0005, 0.005, 0.1, 0.005, 0.1, 0.005)
@@ -94,9 +93,7 @@ class KitchenEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if options and "goal" in options:
             goal = np.array(numbers("goal", options["goal"], (None, 30)))
         else:
-            goal = np.tile(state, (spec.SPEC.goal_window, 1))
-            for task in GOAL_TASKS:
-                goal[:, list(spec.TASKS[task].element)] = spec.TASKS[task].goal
+            goal = spec.goal_after(state, {task: spec.TASKS[task].goal for task in GOAL_TASKS})
         return state, {"tasks": (), "goal": goal}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -111,7 +108,7 @@ class KitchenEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def _state(self, observation: dict[str, Any]) -> np.ndarray:
         """The relay environment's 30 numbers of the wrapped environment's 59."""
-        robot, objects = observation["observation"][ROBOT], observation["observation"][OBJECTS]
+        robot, objects = observation["observation"][spec.ROBOT], observation["observation"][spec.OBJECTS]
         noise = self.noise * OBJECT_NOISE * self.np_random.uniform(-1, 1, len(OBJECT_NOISE))
         return np.concatenate([robot, objects + noise])
 
