@@ -127,7 +127,7 @@ def probe_targets(name: str) -> tuple[Target, ...]:
 def states(name: str) -> States:
     """The same environment with the simulator's states for images. Raises UserError if it does not have that."""
     if not (Path(__path__[0]) / name / "states.py").is_file():
-        raise UserError(f"environment {name!r} has no states.py: its policies see states anyway, or nobody wrote it")
+        raise UserError(f"environment {name!r} has no states.py")
     return _part(name, "states")
 
 

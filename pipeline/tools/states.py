@@ -1,10 +1,10 @@
 """`beso states CELL` judges play and a recipe where policies see images, on the simulator's states instead.
 
 Play, tasks, trials, recipe and sampling are the cell's, as params.yaml has them. No step waits for a picture, and no
-encoder stands between play and policy.
+encoder stands between play and policy. What is in the folder is used again if it is of the same parameters and code.
 """
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,10 +20,11 @@ from beso.core.training_config import TrainingJob
 from beso.data import play
 from beso.envs.protocol import TrialRequest
 from beso.evaluation.rollout import play_chunk
-from beso.training.loop import Training, side_by_side
+from beso.training.loop import train
+from pipeline import scratch
 from pipeline.machine import Machine
 from pipeline.params import load
-from pipeline.pool import map_jobs
+from pipeline.pool import HERE, map_jobs
 
 CHUNK: Final = 26  # trials played together
 SHORTEST: Final = 30  # steps; a stretch that ends sooner is left out
@@ -39,25 +40,24 @@ def judge(name: str, steps: int, updates: int | None, trials: int, seed: int, fo
         updates: of the training; None is the recipe's number.
         trials: for each goal set.
         seed: root of the trials' random numbers.
-        folder: play and models; what is there is not made again.
+        folder: play and models.
 
     Raises:
-        UserError: params.yaml has no such cell, or the folder holds files that are damaged or of another recipe.
+        UserError: params.yaml has no such cell, its environment has no states, or a file in the folder is damaged.
     """
     params, machine = load(), Machine.load()
     cell = params.cell_named(name)
     states, job, tasks = envs.states(cell.env), cell.train.first, params.environment(cell.env).evaluation.tasks or ()
     if updates:
         job = replace(job, config=replace(job.config, optimization=replace(job.config.optimization, steps=updates)))
-    data = folder / cell.env / f"play-{steps}"
+    data = folder / cell.env / f"play-{scratch.fingerprint(cell.env, params.seed, steps)}"
     if not data.is_dir():
         stretches = [(cell.env, params.seed, index) for index in range(-(-steps // states.LENGTH))]
         episodes = [one for one in map_jobs(_record, stretches, machine, "play") if len(one.actions) > SHORTEST]
         play.save(play.assemble(episodes, states.SPEC, {"source": "scripted"}), data)
-    models = folder / cell.env / f"{cell.method}-{steps}-{job.config.optimization.steps}"
+    models = folder / cell.env / f"{cell.method}-{scratch.fingerprint(asdict(job), data.name)}"
     if not checkpoint.paths(models, job.seed)[1].is_file():
-        _train(cell.env, job, data, models)
-    checkpoint.check(models, job)
+        list(map_jobs(_train, [(cell.env, job, data, models)], HERE, name))
     for goals in states.SPEC.goal_sets:
         chunks = [
             TrialRequest(goals, job.seed, range(first, min(first + CHUNK, trials)), seed, data, 0.5, 0, tasks)
@@ -76,13 +76,11 @@ def _record(env: str, seed: int, index: int) -> play.Episode:
 
 
 def _train(env: str, job: TrainingJob, data: Path, models: Path) -> None:
-    spec = envs.states(env).SPEC
+    spec, state = envs.states(env).SPEC, models / "state.safetensors"
     dataset = play.load(data, spec)
     models.mkdir(parents=True, exist_ok=True)
-    torch.set_num_threads(1)
-    state = models / "state.safetensors"
-    for training in side_by_side([Training(job, dataset, spec, CPU, state)], 120):
-        checkpoint.save(models, job, spec.sizes, training.result(), play.data_digest(dataset))
+    trained = train(job, dataset, spec, CPU, state)
+    checkpoint.save(models, job, spec.sizes, trained, play.data_digest(dataset))
     state.unlink(missing_ok=True)
 
 
