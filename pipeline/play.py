@@ -1,6 +1,7 @@
 """Episodes over worker processes: what evaluations and studies share."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,14 @@ from pipeline.pool import map_jobs, workers
 from pipeline.recipes import EvaluateRecipe
 
 
-def evaluation_jobs(recipe: EvaluateRecipe, machine: Machine) -> list[EvaluationJob]:
-    """One job for each model seed of a cell."""
+def evaluation_jobs(recipe: EvaluateRecipe, machine: Machine, run: Path = Path()) -> list[EvaluationJob]:
+    """One job for each model seed of a cell, in the folder of a run."""
     return [
         EvaluationJob(
             environment=recipe.env,
-            data=recipe.play,
-            trials=recipe.trials,
-            models=recipe.models,
+            data=run / recipe.play,
+            trials=run / recipe.trials,
+            models=run / recipe.models,
             seed=seed,
             sampling=recipe.sampling,
             config=recipe.evaluation,

@@ -5,7 +5,6 @@ first that reaches its goal, or else the first. Nothing is chosen by hand.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -64,8 +63,7 @@ def demo(cells: Sequence[str], run: Path, episodes: int, folder: Path, picture: 
     folder.mkdir(parents=True, exist_ok=True)
     planned = []
     for name in cells or kept:
-        job = evaluation_jobs(params.cells[name].evaluate, machine)[0]
-        job = replace(job, data=run / job.data, trials=run / job.trials, models=run / job.models)
+        job = evaluation_jobs(params.cells[name].evaluate, machine, run)[0]
         planned.append((job, episodes, folder / f"{name}.webm"))
     print(f"policies of {run} play {episodes} episodes each ...", flush=True)
     films = []

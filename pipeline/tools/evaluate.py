@@ -71,7 +71,7 @@ def watch(name: str, seed: int, episode: int, models: Path, run: Path, film: Pat
     if not weights.is_file():
         kept = sorted(map(str, (run / "models").glob("*/*/*.safetensors")))
         raise UserError(f"{weights} was not archived: {', '.join(kept) or 'no weights'} were; others need training")
-    (job,) = evaluation_jobs(replace(cell.evaluate, seeds=(seed,)), Machine.load())
-    row = film_episode(replace(job, data=run / job.data, trials=run / job.trials, models=folder), film, episode)
+    (job,) = evaluation_jobs(replace(cell.evaluate, seeds=(seed,)), Machine.load(), run)
+    row = film_episode(replace(job, models=folder), film, episode)
     print(", ".join(f"{key} {value}" for key, value in row.items()))
     print(f"film: {film}")
