@@ -131,7 +131,7 @@ def test_other_parameters_are_no_runs(tmp_path):
 
 def test_runs_without_results_or_anything_in_common_are_one_line(run, tmp_path):
     a, b = run("a", {"gcbc": episodes(0.5)}), run("b", {"c_beso": episodes(0.5)})
-    with pytest.raises(UserError, match="no cell in common"):
+    with pytest.raises(UserError, match="no results of the same cell"):
         told(a, b)
     with pytest.raises(UserError, match="no results there"):
         compare.load(run("c", {}))

@@ -326,6 +326,7 @@ import sys
 
 import numpy.random, safetensors.torch, torch, tqdm
 
+sys.modules["gymnasium"] = None  # as where it is not installed
 before = set(sys.modules)
 from beso import envs, methods, policy
 from beso.core import checkpoint
