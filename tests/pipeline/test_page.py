@@ -1,11 +1,43 @@
 """The page in a browser: it loads without errors and without a network, sorts, zooms, plays, and fits a phone."""
 
+import shutil
+
 import pandas as pd
 import pytest
-
-from tests.pipeline.browser import NAMES, Browser, find
+from playwright.sync_api import sync_playwright
 
 pytestmark = pytest.mark.browser
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+SWITCHES = ("--host-resolver-rules=MAP * ~NOTFOUND", "--autoplay-policy=no-user-gesture-required")
+
+
+class Browser:
+    """One page at a time in a Chromium of its own.
+
+    Attributes:
+        messages: what the page wrote to the console, and its errors.
+        requests: addresses that the page asked for.
+    """
+
+    def __init__(self, chromium):
+        self._chromium, self.page = chromium, None
+
+    def open(self, path, width=1200, height=900, dark=False):
+        """Load a local file in a new window of a size."""
+        if self.page:
+            self.page.context.close()
+        self.messages, self.requests = [], []
+        window, scheme = {"width": width, "height": height}, "dark" if dark else "light"
+        self.page = self._chromium.new_page(viewport=window, is_mobile=width < 600, color_scheme=scheme)
+        self.page.on("console", lambda message: self.messages.append(message.text))
+        self.page.on("pageerror", lambda error: self.messages.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(path.as_uri())
+
+    def run(self, expression):
+        """The value of a JavaScript expression; a promise's once it has one."""
+        return self.page.evaluate(expression)
 
 
 @pytest.fixture(scope="module")
@@ -14,22 +46,19 @@ def page(finished):
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    program = find()
+def browser():
+    program = next(filter(None, map(shutil.which, NAMES)), None)
     if program is None:
         pytest.fail(
             f"no Chromium found ({', '.join(NAMES)}): install one (Debian: apt-get install chromium), or leave these"
             " tests out with `pytest -m 'not browser'`",
             pytrace=False,
         )
-    browser = Browser(program, tmp_path_factory.mktemp("chromium"))
-    yield browser
-    browser.close()
+    with sync_playwright() as library, library.chromium.launch(executable_path=program, args=SWITCHES) as chromium:
+        yield Browser(chromium)
 
 
 def test_loads_without_errors_and_asks_nothing_of_a_network(browser, page):
-    browser.messages.clear()
-    browser.requests.clear()
     browser.open(page)
     browser.run("window.scrollTo(0, document.body.scrollHeight)")
     for figure in ("img", "video"):
@@ -44,8 +73,6 @@ def test_a_page_that_errs_or_asks_is_caught(browser, tmp_path):
     """What the test above relies on."""
     bad = tmp_path / "bad.html"
     bad.write_text("<!doctype html><script>missing()</script><img src='https://example.org/picture.png'>")
-    browser.messages.clear()
-    browser.requests.clear()
     browser.open(bad)
     assert any("missing is not defined" in message for message in browser.messages)
     assert "https://example.org/picture.png" in browser.requests
