@@ -32,6 +32,7 @@ from beso.data.scaling import CLIP
 from beso.errors import UserError
 from beso.files import read_json
 from beso.interface import PolicySpec
+from beso.sampling.weights import Weights, choose
 
 LARGEST = 1e9  # of a raw number; with far larger ones, single precision overflows in a network
 EVALUATION = "evaluation.json"  # in a model's folder: `env`, and `sampling` by parameter
@@ -121,7 +122,12 @@ class Policy:
 
     @classmethod
     def load(
-        cls, folder: str | Path, seed: int = 1, sampling: Mapping[str, Any] | None = None, device: str = "auto"
+        cls,
+        folder: str | Path,
+        seed: int = 1,
+        sampling: Mapping[str, Any] | None = None,
+        device: str = "auto",
+        weights: Weights = "fp32",
     ) -> "Policy":
         """Load a model that `stages.train` wrote.
 
@@ -131,9 +137,10 @@ class Policy:
             sampling: how to generate actions, as in params.yaml under `methods.<name>.sample`; None is as in the
                 evaluation, or, where nothing tells how that was (a line in the log says so), the method's default.
             device: "auto", "cpu", "cuda" or one GPU, "cuda:1".
+            weights: "fp16" acts faster on a CPU, see beso.sampling.weights.
 
         Raises:
-            UserError: files are missing or damaged, or `sampling` is not one for this method.
+            UserError: files are missing or damaged, `sampling` is not one for this method, or as weights.choose.
         """
         folder, chosen = Path(folder).expanduser(), pick_device(device)
         config = checkpoint.config(folder, seed)
@@ -152,6 +159,7 @@ class Policy:
         if environment is not None and environment not in envs.names():
             raise UserError(f"{path} is damaged: env = {environment!r} is not one of {', '.join(envs.names())}")
         loaded = checkpoint.load(folder, seed, chosen_sampling, chosen)
+        choose(loaded.method, weights)
         if environment is not None and loaded.scaling.observation_size is None:
             size = envs.spec(environment).observation_size
             loaded = replace(loaded, scaling=replace(loaded.scaling, observation_size=size))

@@ -5,6 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
+import safetensors.torch
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -141,3 +142,29 @@ def test_the_spec_tells_what_the_arrays_are(folder, small_models, spec):
     policy.reset(np.zeros(16))
     with pytest.raises(UserError, match=r"observation has shape \(15,\), expected \(16,\)"):
         policy.act(np.zeros(15))
+
+
+def test_half_size_weights_act_alike(folder, spec):
+    """As archives keep them: every weight is a number of half precision."""
+    path = checkpoint.paths(folder, 1)[0]
+    kept = {name: value.half().float() for name, value in safetensors.torch.load_file(path).items()}
+    safetensors.torch.save_file(kept, path)
+    raw = np.random.default_rng(0).normal(size=(5, spec.observation_size))
+    actions = []
+    for weights in ("fp32", "fp16"):
+        policy = Policy.load(folder, weights=weights, device="cpu")
+        policy.reset(raw[0])
+        actions.append([policy.act(observation) for observation in raw])
+    assert np.abs(actions[0]).max() > 0.01
+    np.testing.assert_allclose(*actions, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("weights", "scale", "told"), [("int8", 1, "weights = 'int8': must be"), ("fp16", 1e9, "has one beyond 65504")]
+)
+def test_weights_that_cannot_be_are_told(folder, weights, scale, told):
+    path = checkpoint.paths(folder, 1)[0]
+    large = {name: value * scale for name, value in safetensors.torch.load_file(path).items()}
+    safetensors.torch.save_file(large, path)
+    with pytest.raises(UserError, match=told):
+        Policy.load(folder, weights=weights, device="cpu")
