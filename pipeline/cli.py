@@ -313,14 +313,15 @@ def bench() -> None:
 
 @bench.command("policy")
 @CELL
-def bench_policy(cell: str) -> None:
+@path("--published", None, "A checkout of the published code, to measure beside it.")
+def bench_policy(cell: str, published: Path | None) -> None:
     """Calls, rollouts and memory of a policy of the paper's size.
 
     It needs the play data: `beso run collect`.
     """
     from pipeline.tools.bench_policy import bench
 
-    bench(cell)
+    bench(cell, published)
 
 
 @bench.command("training")

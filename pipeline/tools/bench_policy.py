@@ -2,23 +2,32 @@
 
 It takes about a minute and needs the play data of the cell's environment; close other programs first. Times are medians
 with quartiles in brackets. A call's parts are shares of its time, from torch's profiler, which itself takes time.
+
+`--published FOLDER` times the paper's published network beside ours, of the same size: its calls alone, without what
+its sampler does between them. FOLDER is a checkout of github.com/intuitive-robots/beso; it needs the package einops.
 """
 
 import platform
 import resource
+import runpy
 import time
 from collections import defaultdict
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from beso import envs
 from beso.core.checkpoint import LoadedModel
-from beso.core.noise import BatchNoise
+from beso.core.memory import Memory
+from beso.core.noise import BatchNoise, Noise
 from beso.data import play
 from beso.data.scaling import Scaling
 from beso.data.spec import Sizes
+from beso.errors import UserError
+from beso.methods.c_beso import Config
 from beso.policy import BatchPolicy
 from beso.sampling.weights import Weights, choose
 from pipeline import paths, profile
@@ -30,6 +39,8 @@ from stages.latency import WARM_UP, build, time_calls
 EPISODES = 100  # played in chunks, over all workers
 STEPS = 20
 CALLS = 200
+PUBLISHED = Path("beso/agents/diffusion_agents/k_diffusion/score_gpts.py")
+PROFILED = 20  # calls
 ROUNDS = 4  # policies take turns, so that a slow moment is no one's
 PARTS = {
     **dict.fromkeys(("addmm", "mm", "linear_dynamic_fp16"), "linear layers"),
@@ -39,13 +50,23 @@ PARTS = {
 }
 
 
-def bench(name: str) -> None:
-    """Print what is measured. Raises UserError if the paper's profile lacks the cell, or there are no play data."""
+def bench(name: str, published: Path | None) -> None:
+    """Print what is measured.
+
+    Args:
+        name: a cell.
+        published: a checkout of the published code to measure beside it.
+
+    Raises:
+        UserError: the paper's profile lacks the cell, there are no play data, or the published code cannot be measured.
+    """
     paper = profile.load(profile.COMPLETE)
     cell = paper.cell_named(name)
     spec, chunk = envs.spec(cell.env), paper.environments[cell.env].evaluation.chunk
     play.load(paths.play(cell.env), spec)  # missing data is better told now
-    policies = {}
+    policies: dict[str, Any] = {}
+    if published:
+        policies["published code"] = Published(published, cell, spec.sizes)
     for weights in get_args(Weights):
         policies[weights], context = _policy(cell)
         choose(policies[weights], weights)
@@ -76,6 +97,50 @@ def bench(name: str) -> None:
     print(f"peak memory of such a worker: {max(memory) / 2**20:.2f} GiB")
 
 
+class Published:
+    """The published network, with random weights and the sizes of a cell, called as often as its policy calls it.
+
+    Raises:
+        UserError: the cell is no C-BESO with a goal token, the folder has no such code, or a package is missing.
+    """
+
+    def __init__(self, folder: Path, cell: Cell, sizes: Sizes) -> None:
+        model, path = cell.train.first.config.model, folder / PUBLISHED
+        if not isinstance(model, Config) or model.transformer.conditioning != "sequential":
+            raise UserError(f"{cell.name}: the published network is a C-BESO with a goal token")
+        if not path.is_file():
+            raise UserError(f"{path} is missing: --published is a checkout of github.com/intuitive-robots/beso")
+        try:
+            network = runpy.run_path(str(path))["DiffusionGPT"]
+        except ModuleNotFoundError as error:
+            raise UserError(f"{path} needs the package {error.name}: pip install {error.name}") from None
+        self._steps, of = cell.evaluate.sampling.steps, model.transformer
+        self._network = network(
+            state_dim=sizes.observation,
+            device="cpu",
+            goal_conditioned=True,
+            action_dim=sizes.action,
+            embed_dim=of.width,
+            embed_pdrob=0.0,
+            attn_pdrop=0.0,
+            resid_pdrop=0.0,
+            n_layers=of.layers,
+            n_heads=of.heads,
+            goal_seq_len=sizes.goal_window,
+            obs_seq_len=of.window,
+            sigma_vocab_size=0,
+            time_embedding_fn=None,
+            linear_output=True,
+        ).eval()
+
+    def act(self, observations: Tensor, actions: Tensor, goal: Tensor, noise: Noise, memory: Memory) -> Tensor:
+        """As ScorePolicy.act."""
+        generated = torch.cat([actions, noise.normal(1, self._network.action_dim)], dim=1)
+        for _ in range(self._steps):
+            generated = self._network(observations, generated, goal, generated.new_ones(len(generated)))
+        return generated[:, -1]
+
+
 def _policy(cell: Cell) -> tuple[Any, int]:
     """A policy with random weights, and how many steps it sees."""
     model, sampling = cell.train.first.config.model, cell.evaluate.sampling
@@ -84,8 +149,8 @@ def _policy(cell: Cell) -> tuple[Any, int]:
 
 def _parts(policy: Any, context: int, sizes: Sizes, batch: int) -> dict[str, float]:
     """Shares of a call's time by kind of operation."""
-    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as profiler:
-        times = time_calls(policy, context, sizes, batch, CALLS // ROUNDS)
+    with torch.autograd.profiler.profile(use_kineto=False) as profiler:
+        times = time_calls(policy, context, sizes, batch, PROFILED)
     calls = len(times) + WARM_UP
     shares: dict[str, float] = defaultdict(float)
     for event in profiler.key_averages():
