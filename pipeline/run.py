@@ -88,7 +88,7 @@ class Child:
             )
 
     def interrupt(self) -> None:
-        """As Ctrl-C on a terminal: also to the stage's command, while which runs DVC ignores it."""
+        """As Ctrl-C on a terminal, which reaches the stage's command too. DVC ignores it while that runs."""
         if self.process.returncode is None:
             os.killpg(self.process.pid, signal.SIGINT)
 
