@@ -5,12 +5,11 @@ the time. All sums are single precision. Weights that are half precision already
 actions to about 1e-6; others are rounded.
 """
 
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor, nn
 
-from beso.config import require
 from beso.errors import UserError
 
 Weights = Literal["fp32", "fp16"]
@@ -35,16 +34,16 @@ def choose(policy: nn.Module, weights: Weights) -> None:
     Raises:
         UserError: no such weights; or "fp16" and the policy is not on a CPU, or a weight is too large for it.
     """
-    try:
-        require(weights in ("fp32", "fp16"), f"weights = {weights!r}: must be fp32 or fp16")
-        if weights == "fp32":
-            return
-        largest = torch.finfo(torch.float16).max
-        for name, value in policy.named_parameters():
-            require(value.device.type == "cpu", f"weights = {weights!r}: the policy must be on the CPU")
-            require(value.abs().max().item() <= largest, f"weights = {weights!r}: {name} has one beyond {largest:g}")
-    except ValueError as error:
-        raise UserError(str(error)) from None
+    if weights not in get_args(Weights):
+        raise UserError(f"weights = {weights!r}: must be {' or '.join(get_args(Weights))}")
+    if weights == "fp32":
+        return
+    largest = torch.finfo(torch.float16).max
+    for name, value in policy.named_parameters():
+        if value.device.type != "cpu":
+            raise UserError(f"weights = {weights!r}: the policy must be on the CPU")
+        if value.abs().max() > largest:
+            raise UserError(f"weights = {weights!r}: {name} has one beyond {largest:g}")
     for parent in list(policy.modules()):
         for name, layer in parent.named_children():
             if isinstance(layer, nn.Linear) and layer.bias is not None:

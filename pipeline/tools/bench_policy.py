@@ -1,12 +1,13 @@
 """`beso bench policy CELL` measures speed and memory of a policy of the paper's size, with random weights.
 
-It takes about a minute and needs the play data of the cell's environment; close other programs first. Times are medians
+It takes some minutes and needs the play data of the cell's environment; close other programs first. Times are medians
 with quartiles in brackets. A call's parts are shares of its time, from torch's profiler, which itself takes time.
 
 `--published FOLDER` times the paper's published network beside ours, of the same size: its calls alone, without what
 its sampler does between them. FOLDER is a checkout of github.com/intuitive-robots/beso; it needs the package einops.
 """
 
+import os
 import platform
 import resource
 import runpy
@@ -43,7 +44,7 @@ PUBLISHED = Path("beso/agents/diffusion_agents/k_diffusion/score_gpts.py")
 PROFILED = 20  # calls
 ROUNDS = 4  # policies take turns, so that a slow moment is no one's
 PARTS = {
-    **dict.fromkeys(("addmm", "mm", "linear_dynamic_fp16"), "linear layers"),
+    **dict.fromkeys(("addmm", "mm"), "linear layers"),
     **dict.fromkeys(("bmm", "baddbmm", "_softmax"), "attention"),
     **dict.fromkeys(("native_layer_norm", "gelu"), "norms and GELU"),
     **dict.fromkeys(("cat", "stack", "copy_", "clone", "contiguous"), "copies"),
@@ -73,6 +74,11 @@ def bench(name: str, published: Path | None) -> None:
     cores, policy = available_workers(), policies["fp32"]
     count = sum(p.numel() for p in policy.parameters())
     print(f"{platform.machine()}, {cores} cores, torch {torch.__version__}; {name}, {count:,} parameters")
+    torch.set_num_threads(1)
+    for batch in (1, chunk):
+        shares = _parts(policy, context, spec.sizes, batch)
+        told = ", ".join(f"{part} {shares[part]:.0%}" for part in sorted(shares))
+        print(f"an action of each of {batch}, 1 threads, fp32: {told}")
     for threads in sorted({1, cores}):
         torch.set_num_threads(threads)
         for batch in (1, chunk):
@@ -83,10 +89,6 @@ def bench(name: str, published: Path | None) -> None:
                 q1, median, q3 = np.percentile(found, [25, 50, 75])
                 told = f"{median:.4g} ms [{q1:.4g}, {q3:.4g}]"
                 print(f"an action of each of {batch}, {threads} threads, {weights}: {told}")
-    torch.set_num_threads(1)
-    for batch in (1, chunk):
-        shares = _parts(policy, context, spec.sizes, batch)
-        print(f"an action of each of {batch}, fp32: " + ", ".join(f"{p} {shares[p]:.0%}" for p in sorted(shares)))
     start, end, _ = _play(cell, 1, 5 * STEPS)
     single = 5 * STEPS / (end - start)
     print(f"rollouts, one environment: {single:.1f} steps/s")
@@ -149,6 +151,7 @@ def _policy(cell: Cell) -> tuple[Any, int]:
 
 def _parts(policy: Any, context: int, sizes: Sizes, batch: int) -> dict[str, float]:
     """Shares of a call's time by kind of operation."""
+    os.environ.setdefault("KINETO_LOG_LEVEL", "6")  # else the profiler writes that it begins and ends
     with torch.autograd.profiler.profile(use_kineto=False) as profiler:
         times = time_calls(policy, context, sizes, batch, PROFILED)
     calls = len(times) + WARM_UP
