@@ -192,7 +192,10 @@ def _cell(entry: CellEntry, environment: EnvironmentParams, inheritance: Inherit
     sampling, _ = inheritance.whole(methods.sampling(entry.of), method, "sample", env)
     check_fit(model, sampling, f"{top}.methods.{method}.sample.{env}")
     teacher = None if entry.source == str(paths.play(env)) else Path(entry.source).name
-    training, seeds = environment.training, environment.seeds
+    training, seeds = (
+        environment.training,
+        _some_of("the environment's", environment.seeds, entry.seeds, f"{where}.seeds"),
+    )
     job = TrainingJob(
         method=entry.of,
         config=dataclasses.replace(config, model=model),
@@ -203,12 +206,22 @@ def _cell(entry: CellEntry, environment: EnvironmentParams, inheritance: Inherit
         seed=seeds[0],
     )
     train = TrainRecipe(env, method, teacher, seeds, job)
-    evaluate = EvaluateRecipe(env, method, entry.of, environment.seeds, sampling, environment.evaluation, entry.film)
+    evaluate = EvaluateRecipe(env, method, entry.of, seeds, sampling, environment.evaluation, entry.film)
     folders = [str(paths.play(env)), *(str(c.models) for c in map(_paths, file.cells.values()) if c.env == env)]
     if entry.source not in folders or entry.source == str(train.models):
         allowed = ", ".join(folder for folder in folders if folder != str(train.models))
         raise UserError(f"{where}.source = {entry.source!r}: must be one of {allowed}")
     return Cell(env, method, entry.of, train, evaluate)
+
+
+def _some_of(whose: str, known: tuple[Any, ...], chosen: tuple[Any, ...] | None, where: str) -> tuple[Any, ...]:
+    """All of `known`, or what was chosen of it."""
+    if chosen is None:
+        return known
+    if not (len(set(chosen)) == len(chosen) > 0 and {*chosen} <= {*known}):
+        allowed = ", ".join(map(str, known))
+        raise UserError(f"{where} = {list(chosen)}: must be different ones of {whose}, {allowed}")
+    return chosen
 
 
 def _paths(entry: CellEntry) -> CellPaths:
@@ -218,12 +231,14 @@ def _paths(entry: CellEntry) -> CellPaths:
 def _teacher(cells: dict[str, Cell], cell: Cell, images: dict[str, ImageParams], where: str) -> None:
     """A cell's method can learn from what the cell gives it."""
     name = cell.train.teacher
-    teacher = cells[f"{cell.env}-{name}"].train.first.config.model if name else None
+    teacher = cells[f"{cell.env}-{name}"].train if name else None
     source = f"{where}.source = {str(cell.train.source)!r}"
     try:
-        cell.train.first.config.model.check_teacher(teacher)
+        cell.train.first.config.model.check_teacher(teacher and teacher.first.config.model)
     except ValueError as error:
         raise UserError(f"{source}: {cell.of}: {error}") from None
+    if teacher:
+        _some_of("the teacher's", teacher.seeds, cell.train.seeds, f"{where}.seeds")
     if name and cell.env in images and images[cell.env].features.finetune:
         raise UserError(f"{source}: images.{cell.env}.features.finetune must be false")
 
@@ -234,19 +249,18 @@ def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> Stu
     cell = cells.get(f"{entry.env}-{entry.method}")
     if cell is None or cell.of != entry.of:
         raise UserError(f"{where}: {entry.env}-{entry.method} of {entry.of} is not among the cells")
-    evaluation, goals = cell.evaluate.evaluation, entry.goals or cell.evaluate.evaluation.goals[:1]
+    evaluation, first = cell.evaluate.evaluation, cell.evaluate.evaluation.goals[:1]
+    goals = (
+        first if entry.goals is None else _some_of("the evaluation's", evaluation.goals, entry.goals, f"{where}.goals")
+    )
+    seeds = _some_of("the cell's", cell.evaluate.seeds, entry.seeds, f"{where}.seeds")
     if entry.rollouts > evaluation.rollouts:
         raise UserError(f"{where}.rollouts = {entry.rollouts}: must be at most the evaluation's, {evaluation.rollouts}")
-    if entry.goals is not None and not (len(set(goals)) == len(entry.goals) > 0 and {*goals} <= {*evaluation.goals}):
-        allowed = ", ".join(evaluation.goals)
-        raise UserError(f"{where}.goals = {list(entry.goals)}: must be different ones of the evaluation's, {allowed}")
     whole, changes, samplings = dataclasses.asdict(cell.evaluate.sampling), [], []
     for combination in itertools.product(*entry.vary.values()):
         changes.append(dict(zip(entry.vary, combination, strict=True)))
         samplings.append(build(methods.sampling(entry.of), {**whole, **changes[-1]}, where))
         check_fit(cell.train.first.config.model, samplings[-1], where)
     evaluation = dataclasses.replace(evaluation, goals=goals, rollouts=entry.rollouts)
-    recipe = StudyRecipe(
-        entry.env, entry.method, name, entry.of, cell.evaluate.seeds, tuple(changes), tuple(samplings), evaluation
-    )
+    recipe = StudyRecipe(entry.env, entry.method, name, entry.of, seeds, tuple(changes), tuple(samplings), evaluation)
     return Study(cell, entry.vary, recipe)

@@ -172,6 +172,7 @@ class CellEntry:
         of: the method's file in beso/methods.
         source: the folder of the play data; or of the models of another cell, its teacher.
         film: whether its first episode is filmed.
+        seeds: some of the environment's; null is all.
     """
 
     env: str
@@ -179,6 +180,7 @@ class CellEntry:
     of: str
     source: str
     film: bool = False
+    seeds: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -190,6 +192,7 @@ class StudyEntry:
         rollouts: episodes a seed and goal set, the first of each.
         vary: values by parameter of the cell's sampling; every combination is played.
         goals: some of the evaluation's goal sets; null is the first, which is the paper's.
+        seeds: some of the cell's; null is all.
     """
 
     env: str
@@ -198,6 +201,7 @@ class StudyEntry:
     rollouts: int
     vary: dict[str, Any]
     goals: tuple[str, ...] | None = None
+    seeds: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         require_positive(self, "rollouts")
