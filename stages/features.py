@@ -44,8 +44,7 @@ def make_features(recipe: EnvironmentRecipe, machine: Machine) -> None:
     """
     settings, folder = recipe.settings, paths.frames(recipe.env)
     packed = frames.load(folder)
-    device = pick_device(machine.device).type
-    waiting = scratch.folder("features", dataclasses.asdict(settings), recipe.seed, packed.meta["sha256"], device)
+    waiting = waiting_place(recipe, packed, machine)
     waiting.mkdir(parents=True, exist_ok=True)
     # One worker is this process with a single thread: more threads would add up in another order.
     for _ in map_jobs(make_encoder, [(settings, folder, recipe.seed, machine, waiting)], HERE):
@@ -62,6 +61,12 @@ def make_features(recipe: EnvironmentRecipe, machine: Machine) -> None:
     write_text(paths.probe(recipe.env), table.to_csv(index=False, float_format="%.6g"))
     shutil.rmtree(waiting)
     print(table.pivot(index="target", columns="representation", values="value").to_string(float_format="%.3f"))
+
+
+def waiting_place(recipe: EnvironmentRecipe, packed: PackedPlay, machine: Machine) -> Path:
+    """Where the encoder of these frames waits until its features are made."""
+    device = pick_device(machine.device).type
+    return scratch.folder("features", dataclasses.asdict(recipe.settings), recipe.seed, packed.meta["sha256"], device)
 
 
 def _meta(packed: PackedPlay) -> dict[str, Any]:

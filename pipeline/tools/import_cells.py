@@ -4,22 +4,34 @@ FOLDER is what `beso train` wrote elsewhere, or another run or archive, which `b
 models whose weights it keeps, in half precision. Seeds of the parameters and play data that are here go to the scratch
 folder, where a killed stage would have left them. `dvc repro train` then finds nothing left to train, writes models and
 curves, and records them as ever.
+
+Where policies see images, play data are features. Another processor makes others in their last bits. So the encoder of
+FOLDER is taken first, for the stage `features`. Then its models are taken where the features that are here differ from
+those that they were trained on by no more than `TOLERANCE` (pipeline.tools.archive).
 """
 
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from beso import envs
 from beso.core import checkpoint
 from beso.core.device import pick_device
 from beso.data import play
+from beso.encoders import encoder
 from beso.errors import UserError
-from beso.files import replacing
-from pipeline import scratch
+from beso.files import read_json, replacing, write_json
+from beso.images import frames
+from pipeline import paths, scratch
 from pipeline.machine import Machine
-from pipeline.params import load
+from pipeline.params import Params, load
+from pipeline.recipes import EnvironmentRecipe
+from pipeline.tools.archive import SAMPLE, same_features
 from pipeline.tools.train import cell_folder, find_finished
+from stages.features import waiting_place
 from stages.train import identity
 
 DEVICES = ("cpu", "cuda")  # of trainings elsewhere
@@ -31,27 +43,56 @@ def import_cells(folder: Path) -> None:
     device = pick_device(Machine.load().device).type
     if not folder.is_dir():
         raise UserError(f"{folder} is missing: expected the folder that `beso train` wrote, a run or an archive")
+    for env in params.images:
+        _take_encoder(folder, env, params)
     for name, cell in params.cells.items():
         trained = cell_folder(folder, cell)
         if not any(trained.rglob("*.safetensors")):  # an archive keeps the weights of few
             continue
         jobs = cell.train.jobs
         try:
-            digest = play.data_digest(play.load(cell.play, envs.spec(cell.env)))
+            dataset = play.load(cell.play, envs.spec(cell.env))
+            digest = play.data_digest(dataset)
             targets = [scratch.folder(*identity(cell.train, job, digest, device)) for job in jobs]
         except UserError as error:  # of play data, or a student's teacher
             print(f"{name}: {error}; then import again")
             continue
-        found = {job.seed: find_finished(trained, job, digest) for job in jobs}
+        theirs = same_features(dataset, folder / cell.play / SAMPLE) or digest
+        found = {job.seed: find_finished(trained, job, theirs) for job in jobs}
         for job, target in zip(jobs, targets, strict=True):
             if source := found[job.seed]:
-                _compare_code(source, [identity(cell.train, job, digest, d) for d in DEVICES])
+                _compare_code(source, [identity(cell.train, job, theirs, d) for d in DEVICES])
                 with replacing(target) as temporary:
                     temporary.mkdir()
-                    for path in checkpoint.paths(source, job.seed):
-                        shutil.copyfile(path, temporary / path.name)
+                    weights, description = checkpoint.paths(source, job.seed)
+                    shutil.copyfile(weights, temporary / weights.name)
+                    write_json(temporary / description.name, read_json(description) | {"data": digest})
         missing = [str(seed) for seed, source in found.items() if source is None]
         print(f"{name}: " + (f"dvc repro would train seeds {', '.join(missing)} here" if missing else "all seeds"))
+
+
+def _take_encoder(folder: Path, env: str, params: Params) -> None:
+    """Put an archive's encoder where the stage `features` looks for one, unless the features here are of it."""
+    theirs, here = (place / paths.play(env) / encoder.DESCRIPTION for place in (folder, Path()))
+    if not theirs.is_file() or (here.is_file() and read_json(here)["sha256"] == read_json(theirs)["sha256"]):
+        return
+    settings, made = params.images[env].features, encoder.load(theirs.parent, torch.device("cpu"))
+    try:
+        packed = frames.load(paths.frames(env))
+    except UserError as error:
+        print(f"{env}, encoder: {error}; then import again")
+        return
+    provenance = read_json(theirs)["provenance"]
+    asked = {"pretraining": asdict(settings.pretraining), "frames": packed.meta["sha256"]["frames"]}
+    if made.encoding.width != settings.width or any(provenance.get(key) != value for key, value in asked.items()):
+        print(f"{env}, encoder: of other frames or parameters")
+        return
+    target = waiting_place(EnvironmentRecipe(env, params.seed, settings), packed, Machine.load())
+    with replacing(target) as temporary:
+        temporary.mkdir()
+        for name in (encoder.WEIGHTS, encoder.DESCRIPTION):
+            shutil.copyfile(theirs.with_name(name), temporary / name)
+    print(f"{env}, encoder: taken; run `dvc repro --force --single-item features@{env}`, then import again")
 
 
 def _compare_code(folder: Path, identities: list[list[Any]]) -> None:

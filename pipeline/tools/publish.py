@@ -36,7 +36,7 @@ from pipeline.params import PATH, Params, load
 from pipeline.report.gather import SUMMARY, summary, write_tables
 from pipeline.report.page import versions
 from pipeline.run import plan
-from pipeline.tools.archive import Part, check, held, parts, restricted, write_evaluation
+from pipeline.tools.archive import SAMPLE, Part, check, held, parts, restricted, write_evaluation, write_sample
 
 FOLDER = paths.REPORTS / "published"
 LARGEST = 2_000_000  # bytes of a file of weights: git keeps every version for ever
@@ -88,6 +88,7 @@ def add_environment(params: Params, environment: str, folder: Path) -> None:
     made = trials.load(paths.trials(environment))
     trials.save({first: made[first][: settings.evaluation.chunk]}, folder / paths.trials(environment))
     if environment in params.images:
+        write_sample(play.load(paths.play(environment), envs.spec(environment)), target / SAMPLE)
         _copy([paths.samples(environment), paths.probe(environment)], Path(), folder)
         halve(paths.play(environment) / encoder.WEIGHTS, target / encoder.WEIGHTS)
         description = read_json(paths.play(environment) / encoder.DESCRIPTION)

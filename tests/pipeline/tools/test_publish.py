@@ -13,12 +13,20 @@ import safetensors.torch
 
 from beso import envs
 from beso.core import checkpoint
+from beso.data import play
 from beso.errors import UserError
 from beso.files import read_json
 from beso.policy import EVALUATION, Policy
+from pipeline.machine import Machine
 from pipeline.params import PATH, load
+from pipeline.recipes import read_environment
 from pipeline.report import figures
+from pipeline.settings import Features
 from pipeline.tools import publish
+from pipeline.tools.import_cells import import_cells
+from stages.evaluate import evaluate_cell
+from stages.features import make_features
+from stages.train import train_cell
 
 COMMITTED = sorted((Path(__file__).parents[3] / publish.FOLDER).iterdir())
 COMMITTED_WEIGHTS = [
@@ -235,3 +243,28 @@ def test_a_clone_watches_the_archive_without_the_run(archived, tmp_path):
     done = workspace.beso("watch", "block_push-gcbc", "--run", ARCHIVE, check=False)
     assert done.returncode == 1
     assert f"{ARCHIVE}/models/block_push/gcbc/seed1.safetensors was not archived: {ARCHIVE}/" in done.stdout
+
+
+def test_policies_that_see_pictures_are_taken_where_features_differ_in_last_bits(
+    archived, tmp_path, monkeypatch, capsys
+):
+    workspace = archived.copy(tmp_path / "workspace")
+    monkeypatch.chdir(workspace.folder)
+    cell = load().cell_named("calvin-c_beso")
+
+    def told():
+        import_cells(Path(ARCHIVE))
+        return [line for line in capsys.readouterr().out.splitlines() if line.startswith("calvin")]
+
+    encoder = "calvin, encoder: taken; run `dvc repro --force --single-item features@calvin`, then import again"
+    assert told()[0] == encoder  # in half precision it is another one
+    make_features(read_environment(Features, "features", "calvin"), Machine.load())
+    capsys.readouterr()
+    assert told() == ["calvin-c_beso: all seeds"]
+    train_cell(cell.train, Machine.load())
+    evaluate_cell(cell.evaluate, Machine.load())  # refuses models of other play data
+
+    play_data = play.load(cell.play, envs.spec("calvin"))
+    features = play_data.observations * np.linspace(1, 1.5, len(play_data.observations), dtype=np.float32)[:, None]
+    play.save(replace(play_data, observations=features), cell.play)
+    assert told()[-1] == "calvin-c_beso: dvc repro would train seeds 1 here"
