@@ -103,8 +103,21 @@ def _merged(name: str, extending: tuple[str, ...]) -> tuple[dict[str, Any], dict
     base = next((part.pop("extends") for part in parts.values() if "extends" in part), COMPLETE)
     values, comments = _merged(base, (*extending, name))
     for part in parts.values():
-        _change(values, part, values, comments, ())
+        _change(values, part, values, comments, (), base)
     return values, comments
+
+
+@functools.cache
+def _complete() -> dict[str, Any]:
+    """The values of profile paper."""
+    return _merged(COMPLETE, ())[0]
+
+
+def _get(values: Any, key: Key) -> Any:
+    """The value of a key; None where there is none."""
+    for name in key:
+        values = values.get(name) if isinstance(values, dict) else None
+    return values
 
 
 def _join(values: dict[str, Any], part: dict[str, Any], where: str) -> None:
@@ -118,21 +131,25 @@ def _join(values: dict[str, Any], part: dict[str, Any], where: str) -> None:
             values[key] = value
 
 
-def _change(inner: dict[str, Any], changes: dict[str, Any], values: dict[str, Any], notes: Any, path: Key) -> None:
-    """Apply a profile's changes to one mapping of all values."""
+def _change(
+    inner: dict[str, Any], changes: dict[str, Any], values: dict[str, Any], notes: Any, path: Key, base: str
+) -> None:
+    """Apply a profile's changes to one mapping of all values, which are those of profile `base`."""
     for name, value in changes.items():
         key = (*path, name)
         if value is None and isinstance(inner.get(name), dict):
             del inner[name]
         elif isinstance(value, dict):
-            _change(inner.setdefault(name, {}), value, values, notes, key)
+            _change(inner.setdefault(name, {}), value, values, notes, key, base)
         else:
             for special in _special(values, key):
                 _remove(values, special)
-            if name in inner and key != ("profile",):
+            if inner.get(name, value) != value and key != ("profile",):
                 above, note = notes.get(key, Comment("", ""))
-                paper = note if f" in profile {COMPLETE}" in note else f"{_text(inner[name])} in profile {COMPLETE}"
-                notes[key] = Comment(above, paper if paper == note or not note else f"{paper}; {note}")
+                if " in profile " not in note:
+                    whose = COMPLETE if _get(_complete(), key) == inner[name] else base
+                    note = f"{_text(inner[name])} in profile {whose}" + (f"; {note}" if note else "")
+                notes[key] = Comment(above, note)
             inner[name] = value
 
 

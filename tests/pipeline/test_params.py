@@ -37,8 +37,10 @@ def test_committed_params_are_the_quick_profile():
     assert params.PATH.read_text() == profile.render("quick")
 
 
-def test_profiles_keep_the_comments_and_name_the_papers_values():
+def test_profiles_keep_the_comments_and_name_the_values_that_they_change():
     assert "every: 1000 # 2000 in profile paper; steps" in profile.render("cpu")
+    assert "every: 250 # 2000 in profile paper; steps" in profile.render("quick")
+    assert "learning_rate: 0.002 # 0.0015 in profile cpu\n" in profile.render("quick")  # paper has none there
 
 
 def test_paper_profile_has_the_papers_numbers():
