@@ -388,6 +388,12 @@ def test_unreadable_files_are_one_line(tmp_path):
             yaml.read_yaml(file)
         assert "\n" not in str(error.value)
         assert len(str(error.value)) < 400
+    for content, message in ((b"a: \xe9", "is not UTF-8 text"), (b"a: 1\n<<<<<<< HEAD\n", "has git's merge markers")):
+        file.write_bytes(content)
+        with pytest.raises(UserError, match=message):
+            yaml.read_yaml(file)
+    with pytest.raises(UserError, match="is a folder, expected a file"):
+        yaml.read_yaml(tmp_path)
 
 
 @pytest.mark.parametrize(
