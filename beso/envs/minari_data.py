@@ -108,8 +108,9 @@ def _array(group: Any, name: str, where: str) -> np.ndarray | None:
     found = group.get(name)
     if not hasattr(found, "nbytes"):
         return None
-    if found.nbytes > (size := found.id.get_storage_size()) + published.MARGIN:
-        raise UserError(f"{where}: {name} is damaged: {found.nbytes} bytes are stored in {size}")
+    size = found.id.get_storage_size()
+    if found.dtype.kind not in "biuf" or found.nbytes > size + published.MARGIN:
+        raise UserError(f"{where}: {name} is damaged: {found.dtype} {found.shape} in {size} bytes")
     return np.asarray(found[()])
 
 

@@ -312,10 +312,11 @@ def test_a_minari_dataset_that_lost_episodes_or_stores_fewer_numbers_than_it_say
     import h5py
 
     folder = write_minari(EPISODES)
-    with h5py.File(folder / "data" / "main_data.hdf5", "a") as file:
-        del file["episode_1/actions"]
-        file["episode_1"].create_dataset("actions", (10**9, 9), chunks=(1, 9))
-    refused("episode_1: actions is damaged: 36000000000 bytes are stored in 0", folder)
+    for kind, message in (("f4", r"float32 \(1000000000, 9\) in 0 bytes"), (h5py.string_dtype(), "object")):
+        with h5py.File(folder / "data" / "main_data.hdf5", "a") as file:
+            del file["episode_1/actions"]
+            file["episode_1"].create_dataset("actions", (10**9, 9), kind, chunks=(1, 9))
+        refused(f"episode_1: actions is damaged: {message}", folder)
     with h5py.File(folder / "data" / "main_data.hdf5", "a") as file:
         del file["episode_1"]
     refused("main_data.hdf5 has 1 episodes; metadata.json says 2", folder)
