@@ -129,9 +129,10 @@ def read(dataset: Opened, spec: PlaySpec, largest: Mapping[str, float]) -> PlayD
     found = []
     for i, recorded in enumerate(dataset.episodes):
         where = f"{dataset.path}: demonstration {i}"
-        if any(array is None or array.ndim != 2 for array in recorded):
+        arrays = [array for array in recorded if array is not None and array.ndim == 2]
+        if len(arrays) < len(recorded):
             raise UserError(f"{where}: observations, actions and infos/tasks must be arrays with a row a step")
-        observations, actions, tasks = recorded
+        observations, actions, tasks = arrays
         episode = observations[:-1], actions, tasks[:-1]
         published.check(episode, spec, largest, where, may_fail=True)
         found.append(Episode(*episode))

@@ -16,8 +16,8 @@ from beso.data.store import read_npy
 from beso.errors import UserError
 
 SUFFIXES = (".npy", ".pth")
-NUMPYS = (torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
-NUMPYS += (torch.float16, torch.float32, torch.float64)
+NUMPYS = {torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64}
+NUMPYS |= {torch.float16, torch.float32, torch.float64}
 MARGIN = 1 << 20  # bytes that a .pth file may unpack to beyond its own size
 
 
@@ -93,7 +93,7 @@ def read(path: Path) -> np.ndarray:
     if not isinstance(tensor, torch.Tensor):
         raise UserError(f"{path} holds a {type(tensor).__name__}, expected one tensor")
     form = "nested" if tensor.is_nested else tensor.layout
-    for kind, allowed in ((form, (torch.strided,)), (tensor.device.type, ("cpu",)), (tensor.dtype, NUMPYS)):
+    for kind, allowed in ((form, {torch.strided}), (tensor.device.type, {"cpu"}), (tensor.dtype, NUMPYS)):
         if kind not in allowed:
             raise UserError(f"{path} holds a tensor of {kind}, expected plain real numbers".replace("torch.", ""))
     if tensor.numel() * tensor.element_size() > size:
