@@ -253,7 +253,7 @@ def convert(folder: Path, target: Path, size: int | None) -> None:
 def _rows(folder: Path, size: int | None) -> Iterator[tuple[Path, int, dict[str, np.ndarray]]]:
     """Rows of one episode each, at most BATCH, with its number and the file's path."""
     count = 0
-    for path in sorted((folder / "data").glob("*/*.parquet")):
+    for path in sorted(filter(Path.is_file, (folder / "data").glob("*/*.parquet"))):
         for table in _batches(path):
             index, episodes = (
                 numbers(f"{path}: {key}", table.column(key).to_pylist(), (None,)) for key in ("index", "episode_index")

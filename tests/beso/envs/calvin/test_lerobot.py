@@ -1,6 +1,7 @@
 """Play with pictures as a LeRobot dataset: its layout, and the way back to the same bytes."""
 
 import json
+import os
 import struct
 import sys
 import zlib
@@ -177,6 +178,12 @@ def lose_the_last_row(folder):
     parquet.write_table(parquet.read_table(path)[:-1], path)
 
 
+def a_pipe_instead(folder):
+    path = folder / "data/chunk-000/file-000.parquet"
+    path.unlink()
+    os.mkfifo(path)
+
+
 def tall_picture(side):
     """A PNG of no data whose header tells of that many pixels."""
     header = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
@@ -206,6 +213,7 @@ def pyarrow_array(rows, kind):
         (paths_of_pictures, "file-000.parquet is damaged, or has not"),
         (changed("episode_index", None), "episode_index holds object, expected real numbers"),
         (lose_rows, "index does not go on from 0: a file or rows are missing or moved"),
+        (a_pipe_instead, r"has 0 frames; meta/info\.json says 312"),
         (lose_the_last_row, r"has 311 frames; meta/info\.json says 312"),
     ],
 )
