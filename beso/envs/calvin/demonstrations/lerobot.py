@@ -289,6 +289,8 @@ def _columns(table: Any, path: Path, size: int | None) -> dict[str, np.ndarray]:
         within(what, values, LARGEST.get(name, 1))
         found[name] = values.astype(dtype)
     frames = [_frame((picture or {}).get("bytes"), path, size) for picture in table.column(IMAGE).to_pylist()]
+    if len({frame.shape for frame in frames}) > 1:
+        raise UserError(f"{path}: {IMAGE} holds pictures of more than one size")
     return {"frames": np.stack(frames), **found}
 
 

@@ -225,6 +225,13 @@ def test_damage_is_one_line(tmp_path, folder, damage, message):
     assert not (tmp_path / "again").exists()
 
 
+def test_pictures_of_two_sizes_are_refused_where_none_is_asked_for(tmp_path, folder):
+    picture = lerobot._png(np.zeros((9, 9, 3), dtype=np.uint8))
+    changed("observation.images.static", {"bytes": picture, "path": ""})(folder)
+    with pytest.raises(UserError, match="holds pictures of more than one size"):
+        lerobot.convert(folder, tmp_path / "again", None)
+
+
 def test_without_the_package_it_says_what_to_install(tmp_path, play, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(UserError, match=r"needs the package pyarrow: install this project with its extra \[lerobot\]"):
