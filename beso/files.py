@@ -55,11 +55,11 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
         UserError: the file is missing, or is not whole.
     """
+    if not path.is_file():
+        raise UserError(f"{path} is {'not a file' if path.exists() else 'missing'}")
     try:
         value = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UserError(f"{path} is missing") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{path} is damaged: {error}") from None
     if not isinstance(value, dict):
         raise UserError(f"{path} is damaged: it holds no mapping")

@@ -106,11 +106,11 @@ def _connect(machine: Machine) -> Any:
         try:
             # The workers' lines, and Ray's long ones on each death, stay in Ray's logs.
             ray.init(machine.ray_address, logging_level=logging.ERROR, log_to_driver=False)
-        except (ConnectionError, RuntimeError) as error:
+        except (ConnectionError, RuntimeError, ray.exceptions.RayError) as error:
             reason = str(error).splitlines()[0].partition(". ")[0]
             raise UserError(
                 f"machine.yaml: ray_address = {machine.ray_address}: no connection to a Ray cluster ({reason}); "
-                "`ray start --head` starts one"
+                "docs/ray.md tells how to start one"
             ) from None
     return ray
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from beso import envs
-from beso.config import build
+from beso.config import build, shown
 from beso.errors import UserError
 from pipeline.settings import SHARED, File
 
@@ -43,11 +43,11 @@ class Inheritance:
 
     def _chain(self, method: str, part: str) -> list[str]:
         """The methods whose blocks are merged, in that order."""
-        chain = [method]
-        while like := getattr(self._blocks[chain[0]], part).get("like"):
-            where = f"{self._where[chain[0]]}.{part}.like = {like!r}"
-            if like not in self._blocks or like == "all_methods":
-                raise UserError(f"{where}: must be one of {', '.join(list(self._blocks)[1:])}")
+        chain, allowed = [method], list(self._blocks)[1:]
+        while (like := getattr(self._blocks[chain[0]], part).get("like")) is not None:
+            where = f"{self._where[chain[0]]}.{part}.like = {shown(like)}"
+            if like not in allowed:
+                raise UserError(f"{where}: must be one of {', '.join(allowed)}")
             if like in chain:
                 raise UserError(f"{where}: leads in a circle")
             chain.insert(0, like)
@@ -81,7 +81,7 @@ def build_merged(cls: Any, layers: Layers, place: str, inner: tuple[str, Any] | 
     values: Any = {}
     for key, block in layers:
         if not isinstance(block, dict):
-            raise UserError(f"{key} = {block!r}: expected a mapping")
+            raise UserError(f"{key} = {shown(block)}: expected a mapping")
         values = merge(values, block)
     try:
         return build(cls, inner[1], f"{place}.{inner[0]}") if inner else build(cls, values, place)

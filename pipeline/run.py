@@ -17,6 +17,7 @@ from pathlib import Path
 from dvc.exceptions import DvcException
 from dvc.repo import Repo
 from dvc.repo.reproduce import collect_stages, get_active_graph, plan_repro
+from dvc.scm import SCMError
 from tqdm import tqdm
 
 from beso.errors import UserError
@@ -55,6 +56,8 @@ def plan(targets: Sequence[str]) -> dict[str, Step]:
             graph = get_active_graph(repo.index.graph)
             stages = plan_repro(graph, collect_stages(repo, targets or ["dvc.yaml"]))  # in topological order
             stale = {stage.addressing for stage in stages if stage.status()}
+    except SCMError as error:
+        raise UserError(f"{error}; DVC needs one: `git init` makes it") from None
     except DvcException as error:
         raise UserError(str(error)) from None
     steps: dict[str, Step] = {}

@@ -208,7 +208,7 @@ class StudyEntry:
         for name, values in self.vary.items():
             require(
                 isinstance(values, list) and len(values) > 0 and all(v not in values[:i] for i, v in enumerate(values)),
-                f"vary.{name} = {values!r}: must be a list of different values, at least one",
+                f"vary.{name} = {shown(values)}: must be a list of different values, at least one",
             )
         require(len(self.vary) > 0, "vary = {}: must name at least one parameter")
 

@@ -11,7 +11,8 @@ from typing import Any
 from beso.errors import UserError
 
 # Errors of the operating system that a user can mend.
-USERS = (errno.ENOENT, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)
+USERS = {errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG}
+USERS |= {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS}
 
 
 def log_to_stderr() -> None:

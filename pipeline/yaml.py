@@ -19,7 +19,8 @@ def read_yaml(path: Path) -> Any:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise UserError(f"{path} is missing: run this in the repository's root") from None
+        hint = ": run this in the repository's root" if path.parent == Path() else ""
+        raise UserError(f"{path} is missing{hint}") from None
     except IsADirectoryError:
         raise UserError(f"{path} is a folder, expected a file") from None
     except UnicodeDecodeError:

@@ -63,6 +63,14 @@ def test_commands_are_there():
     assert targets <= set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), flags=re.M))
 
 
+@pytest.mark.parametrize("name", profile.names())
+def test_the_parameter_that_it_changes_stands_on_one_line_of_every_profile(name):
+    ((old, new),) = re.findall(r"sed -i 's/(.*?)/(.*?)/' params\.yaml", README)
+    before = profile.render(name).splitlines()
+    after = [re.sub(old, new, line) for line in before]
+    assert sum(a != b for a, b in zip(before, after, strict=True)) == 1
+
+
 def test_its_table_has_the_papers_scores_and_each_runs():
     archive = pd.read_csv(ROOT / "reports/published/cpu/comparison.csv")
     lines = [

@@ -211,3 +211,8 @@ def test_parameters_reach_stages_through_their_recipes_alone():
         told = [dep for dep in definition(stage)["deps"] if dep.startswith("recipes/")]
         assert len(told) == 1, stage
         assert "params.yaml" not in definition(stage)["deps"]
+
+
+def test_text_has_the_same_bytes_in_every_clone():
+    """Git's core.autocrlf would change what dvc.lock has the hashes of."""
+    assert "* text=auto eol=lf" in (ROOT / ".gitattributes").read_text().splitlines()

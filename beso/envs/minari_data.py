@@ -12,8 +12,8 @@ after the last action: the last one stands twice.
     rewards        (T,)        how many tasks the action completed
     terminations, truncations  (T,)  False; the last truncation is True: the recording ends
 
-metadata.json has the tasks' names, and in "play" what the play's meta.json says. The packages minari and h5py are
-imported when a dataset is opened or written.
+metadata.json has the tasks' names, and in "play" what the play's meta.json says. The package h5py is imported when a
+dataset is opened, minari when one is written: it would make the environment that a file names, which can be any code.
 """
 
 import importlib
@@ -38,11 +38,19 @@ DESCRIPTION = (
 )
 
 
+class Recorded(NamedTuple):
+    """What an episode of a Minari dataset holds of play; None where it has something else, or nothing."""
+
+    observations: np.ndarray | None
+    actions: np.ndarray | None
+    tasks: np.ndarray | None
+
+
 class Opened(NamedTuple):
-    """A Minari dataset: its folder, its episodes (Minari's EpisodeData), and its metadata.json."""
+    """A Minari dataset: its folder, its episodes, and its metadata.json."""
 
     folder: Path
-    episodes: list[Any]
+    episodes: list[Recorded]
     metadata: dict[str, Any]
 
     @property
@@ -58,25 +66,52 @@ class Opened(NamedTuple):
     @property
     def exported(self) -> bool:
         """Whether `write` wrote it."""
-        return isinstance(self.metadata.get("play"), dict)
+        play = self.metadata.get("play")
+        return isinstance(play, dict) and isinstance(play.get("source"), str)
 
 
 def opened(folder: Path) -> Opened | None:
     """The Minari dataset in a folder, or in `data` below it; None if there is none.
 
     Raises:
-        UserError: the files are damaged, or the packages are not installed.
+        UserError: the files are damaged, or the package is not installed.
     """
     place = next((place for place in (folder, folder / "data") if (place / HDF5).is_file()), None)
     if place is None:
         return None
+    path = place / HDF5
     try:
-        dataset = importlib.import_module("minari").MinariDataset(place)
-        return Opened(place, list(dataset.iterate_episodes()), read_json(place / METADATA))
+        with importlib.import_module("h5py").File(path, "r") as file:
+            names = [f"episode_{i}" for i in range(len(file))]
+            episodes = [_recorded(file[name], f"{path}: {name}") for name in names]
     except ImportError as error:
-        raise UserError(f"{place / HDF5} is a Minari dataset; reading it {NEEDS} ({error})") from None
+        raise UserError(f"{path} is a Minari dataset; reading it {NEEDS} ({error})") from None
+    except UserError:
+        raise
     except Exception as error:  # damage shows in many kinds of exception, some with many lines
-        raise UserError(f"{place / HDF5} is damaged or no Minari dataset ({type(error).__name__})") from None
+        raise UserError(f"{path} is damaged or no Minari dataset ({type(error).__name__})") from None
+    metadata = read_json(place / METADATA)
+    if metadata.get("total_episodes") != len(episodes):
+        raise UserError(f"{path} has {len(episodes)} episodes; {METADATA} says {metadata.get('total_episodes')!r:.20}")
+    return Opened(place, episodes, metadata)
+
+
+def _recorded(group: Any, where: str) -> Recorded:
+    """The arrays of an episode; observations that have parts are represented by `observation`."""
+    observations = _array(group, "observations", where)
+    if observations is None:
+        observations = _array(group, "observations/observation", where)
+    return Recorded(observations, _array(group, "actions", where), _array(group, "infos/tasks", where))
+
+
+def _array(group: Any, name: str, where: str) -> np.ndarray | None:
+    found = group.get(name)
+    if not hasattr(found, "nbytes"):
+        return None
+    size = found.id.get_storage_size()
+    if found.dtype.kind not in "biuf" or found.nbytes > size + published.MARGIN:
+        raise UserError(f"{where}: {name} is damaged: {found.dtype} {found.shape} in {size} bytes")
+    return np.asarray(found[()])
 
 
 def read(dataset: Opened, spec: PlaySpec, largest: Mapping[str, float]) -> PlayDataset:
@@ -94,13 +129,14 @@ def read(dataset: Opened, spec: PlaySpec, largest: Mapping[str, float]) -> PlayD
     found = []
     for i, recorded in enumerate(dataset.episodes):
         where = f"{dataset.path}: demonstration {i}"
-        arrays: list[Any] = [recorded.observations, recorded.actions, (recorded.infos or {}).get("tasks")]
-        if not all(isinstance(array, np.ndarray) and array.ndim == 2 for array in arrays):
+        arrays = [array for array in recorded if array is not None and array.ndim == 2]
+        if len(arrays) < len(recorded):
             raise UserError(f"{where}: observations, actions and infos/tasks must be arrays with a row a step")
-        episode = arrays[0][:-1], arrays[1], arrays[2][:-1]
+        observations, actions, tasks = arrays
+        episode = observations[:-1], actions, tasks[:-1]
         published.check(episode, spec, largest, where, may_fail=True)
         found.append(Episode(*episode))
-    kept = {key: value for key, value in said["play"].items() if key not in ("sha256", "counts")}
+    kept = {key: value for key, value in said["play"].items() if key not in ("sha256", "counts", "finetune")}
     return assemble(found, spec, {**kept, "files": dataset.digests})
 
 

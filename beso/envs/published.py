@@ -16,7 +16,8 @@ from beso.data.store import read_npy
 from beso.errors import UserError
 
 SUFFIXES = (".npy", ".pth")
-NOT_NUMPYS = (torch.bfloat16, torch.float8_e4m3fn, torch.float8_e5m2)
+NUMPYS = {torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64}
+NUMPYS |= {torch.float16, torch.float32, torch.float64}
 MARGIN = 1 << 20  # bytes that a .pth file may unpack to beyond its own size
 
 
@@ -91,13 +92,13 @@ def read(path: Path) -> np.ndarray:
         raise UserError(f"{path} is damaged or holds more than plain tensors ({type(error).__name__})") from None
     if not isinstance(tensor, torch.Tensor):
         raise UserError(f"{path} holds a {type(tensor).__name__}, expected one tensor")
-    plain = tensor.layout == torch.strided and not tensor.is_quantized and tensor.dtype not in NOT_NUMPYS
-    if not plain or tensor.is_complex():
-        kind = tensor.dtype if tensor.layout == torch.strided else tensor.layout
-        raise UserError(f"{path} holds a tensor of {kind}, expected plain real numbers".replace("torch.", ""))
+    form = "nested" if tensor.is_nested else tensor.layout
+    for kind, allowed in ((form, {torch.strided}), (tensor.device.type, {"cpu"}), (tensor.dtype, NUMPYS)):
+        if kind not in allowed:
+            raise UserError(f"{path} holds a tensor of {kind}, expected plain real numbers".replace("torch.", ""))
     if tensor.numel() * tensor.element_size() > size:
         raise UserError(f"{path} is damaged: {tensor.numel()} numbers in {size} bytes")
-    return tensor.detach().numpy()
+    return tensor.detach().resolve_neg().numpy()
 
 
 def lengths(masks: np.ndarray, path: Path) -> np.ndarray:

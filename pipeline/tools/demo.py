@@ -13,6 +13,7 @@ import numpy as np
 from beso import envs
 from beso.core import checkpoint
 from beso.errors import CannotDrawError, UserError
+from beso.evaluation import trials
 from beso.evaluation.config import Chunk
 from beso.evaluation.rollout import EvaluationJob, Row, evaluate
 from beso.files import replacing
@@ -64,6 +65,9 @@ def demo(cells: Sequence[str], run: Path, episodes: int, folder: Path, picture: 
     planned = []
     for name in cells or kept:
         job = evaluation_jobs(params.cells[name].evaluate, machine, run)[0]
+        trials.pick(
+            trials.load(job.trials), job.config.goals[0], job.seed, range(episodes)
+        )  # told before any is played
         planned.append((job, episodes, folder / f"{name}.webm"))
     print(f"policies of {run} play {episodes} episodes each ...", flush=True)
     films = []

@@ -38,17 +38,19 @@ DEVICES = ("cpu", "cuda")  # of trainings elsewhere
 
 
 def import_cells(folder: Path) -> None:
-    """Take what the folder has of params.yaml's cells, and say which seeds. Raises UserError if there is no folder."""
+    """Take what the folder has of params.yaml's cells, and say which seeds. Raises UserError if it has nothing."""
     params = load()
     device = pick_device(Machine.load().device).type
     if not folder.is_dir():
         raise UserError(f"{folder} is missing: expected the folder that `beso train` wrote, a run or an archive")
+    there = {name: cell_folder(folder, cell) for name, cell in params.cells.items()}
+    there = {name: trained for name, trained in there.items() if any(trained.rglob("*.safetensors"))}
+    if not there:
+        raise UserError(f"{folder} has no model of a cell of params.yaml")
     for env in params.images:
         _take_encoder(folder, env, params)
-    for name, cell in params.cells.items():
-        trained = cell_folder(folder, cell)
-        if not any(trained.rglob("*.safetensors")):  # an archive keeps the weights of few
-            continue
+    for name, trained in there.items():  # an archive keeps the weights of few
+        cell = params.cells[name]
         jobs = cell.train.jobs
         try:
             dataset = play.load(cell.play, envs.spec(cell.env))

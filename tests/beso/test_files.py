@@ -1,9 +1,11 @@
 import hashlib
 import json
+import os
 
 import pytest
 
-from beso.files import replacing, sha256, write_json, write_text
+from beso.errors import UserError
+from beso.files import read_json, replacing, sha256, write_json, write_text
 
 
 def contents(folder):
@@ -77,6 +79,23 @@ def test_json_is_sorted_and_ends_in_a_newline(tmp_path):
     assert json.loads(text) == {"a": [1, 2], "b": 1}
     assert text.index('"a"') < text.index('"b"')
     assert text.endswith("}\n")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda path: None, "is missing"),
+        (lambda path: path.mkdir(), "is not a file"),
+        (os.mkfifo, "is not a file"),
+        (lambda path: path.write_text("[" * 10**5), "is damaged: maximum recursion"),
+        (lambda path: path.write_bytes(b"\xff"), "is damaged: 'utf-8' codec"),
+        (lambda path: path.write_text("[]"), "is damaged: it holds no mapping"),
+    ],
+)
+def test_what_is_no_json_mapping_is_one_line(tmp_path, make, message):
+    make(tmp_path / "x.json")
+    with pytest.raises(UserError, match=f"x.json {message}"):
+        read_json(tmp_path / "x.json")
 
 
 def test_text_is_utf_8(tmp_path):

@@ -8,7 +8,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from beso.files import write_text
 from pipeline import cli, scratch
+from pipeline.stage import guard
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("torch", "numpy", "pandas", "dvc", "ruamel", "tqdm")
@@ -56,6 +58,22 @@ def test_mistakes_are_told_in_one_line(tmp_path):
     assert "No such command 'fly'" in beso(tmp_path, "fly", code=2)
     (tmp_path / "dvc.yaml").touch()
     assert beso(tmp_path, "check", code=1) == "error: params.yaml is missing: run this in the repository's root\n"
+
+
+def test_a_file_in_the_place_of_a_folder_is_one_line(tmp_path, capsys):
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    for path, told in (
+        ("file/a", "File exists: "),
+        ("file/a/b", "Not a directory: "),
+        ("x" * 300, "File name too long: "),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            guard(write_text, tmp_path / path, "text")
+        assert ended.value.code == 1
+        line = capsys.readouterr().err
+        assert line.startswith(f"error: {told}{tmp_path}")
+        assert line.count("\n") == 1
 
 
 def test_any_subfolder_and_the_home_will_do(tmp_path, monkeypatch):

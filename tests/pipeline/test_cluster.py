@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -54,6 +55,22 @@ def test_no_cluster_is_one_line(smoke):
     machine = Machine(device="cpu", engine="ray")
     with pytest.raises(UserError, match=r"^machine.yaml: ray_address = auto: no connection to a Ray cluster .*$"):
         list(pool.map_jobs(describe, [(None, 0)], machine))
+
+
+def test_a_cluster_whose_token_is_not_here_is_one_line(tmp_path):
+    code = """
+from pipeline import cluster
+from pipeline.machine import Machine
+try:
+    cluster.cores(Machine(device="cpu", engine="ray", ray_address="127.0.0.1:1"))
+except cluster.UserError as error:
+    print(error)
+"""
+    settings = {"HOME": str(tmp_path), "RAY_AUTH_MODE": "token"}
+    done = subprocess.run([sys.executable, "-c", code], env=os.environ | settings, capture_output=True, text=True)
+    (line,) = done.stdout.splitlines()
+    assert line.startswith("machine.yaml: ray_address = 127.0.0.1:1: no connection to a Ray cluster (Token authen")
+    assert line.endswith("; docs/ray.md tells how to start one")
 
 
 def test_a_cluster_without_processors_is_one_line():

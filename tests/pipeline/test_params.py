@@ -6,13 +6,16 @@ import shutil
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from beso import envs
 from beso.config import LARGEST
 from beso.errors import UserError
 from beso.files import write_json
-from pipeline import params, profile, recipes, settings, yaml
+from pipeline import params, profile, recipes, yaml
+from pipeline.settings import Collect, Features
 from stages import resolve
 
 PROFILES = profile.names()
@@ -166,6 +169,8 @@ def cell(env, method, of=None, source=None):
             "c_besp",
             r"cfg_beso\.train\.like = 'c_besp': must be one of gc",
         ),
+        (("methods", "c_beso", "train", "like"), ["gcbc"], r"c_beso\.train\.like = \['gcbc'\]: must be one of"),
+        (("methods", "c_beso", "train", "like"), "", r"c_beso\.train\.like = '': must be one of"),
         (("methods", "c_beso", "train", "like"), "cfg_beso", r"train\.like = '.*beso': leads in a circle"),
         (
             ("methods", "c_beso", "train", "kitchn"),
@@ -248,6 +253,45 @@ def test_a_mistake_is_one_line_with_key_value_and_what_is_allowed(values, path, 
     assert "\n" not in str(error.value)
 
 
+def places(values):
+    """Every mapping or list with each of its keys, from the outside in."""
+    for key in list(values if isinstance(values, dict) else range(len(values))):
+        yield values, key
+        if isinstance(values[key], dict | list):
+            yield from places(values[key])
+
+
+names = st.one_of(st.text(max_size=5), st.sampled_from(["all", "like", "gcbc", "a\nb", "x" * 10**4]))
+anything = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), names, st.sampled_from([10**18, 10**400, 1.0])),
+    lambda inner: st.one_of(st.lists(inner, max_size=2), st.dictionaries(names, inner, max_size=2)),
+    max_leaves=4,
+)
+edits = st.lists(st.tuples(st.integers(0, 10**6), st.sampled_from(["lose", "rename", "replace"]), anything), min_size=1)
+
+
+@settings(max_examples=40, deadline=None)
+@given(edits=edits)
+def test_changed_anywhere_it_is_read_or_refused_in_one_line(smoke, edits):
+    values = copy.deepcopy(smoke)
+    for place, kind, value in edits[:2]:
+        found = list(places(values))
+        inner, key = found[place % len(found)]
+        if kind == "lose":
+            del inner[key]
+        elif kind == "rename" and isinstance(inner, dict):
+            inner[value if isinstance(value, str) else repr(value)] = inner.pop(key)
+        else:
+            inner[key] = value
+    message = "read"
+    try:
+        params.parse(values, "params.yaml")
+    except UserError as error:
+        message = str(error)
+    assert len(message.splitlines()) == 1
+    assert len(message) <= 2003
+
+
 @pytest.fixture
 def room(values):
     """An environment that sees images: the first that there is, with the parameters of block push."""
@@ -311,8 +355,8 @@ def test_every_key_is_needed(values, tmp_path, monkeypatch):
                 yield from paths(value, (*path, key))
 
     read = {"train": recipes.read_train, "evaluate": recipes.read_evaluate, "study": recipes.read_study}
-    read |= {"collect": lambda env: recipes.read_environment(settings.Collect, "collect", env)}
-    read |= {"features": lambda env: recipes.read_environment(settings.Features, "features", env)}
+    read |= {"collect": lambda env: recipes.read_environment(Collect, "collect", env)}
+    read |= {"features": lambda env: recipes.read_environment(Features, "features", env)}
     optional = {("evaluation", "tasks"), ("settings", "camera")}
     for name, recipe in resolve.recipes(params.parse(values, "params.yaml")):
         kind, *parts = name.split("/")
@@ -341,7 +385,7 @@ def test_numbers_are_read_as_dvc_reads_them(tmp_path):
 
 def test_unreadable_files_are_one_line(tmp_path):
     file = tmp_path / "params.yaml"
-    with pytest.raises(UserError, match="is missing"):
+    with pytest.raises(UserError, match=r"params\.yaml is missing$"):
         yaml.read_yaml(file)
     for text in ("a: [1,\nb: 2", f"a: {'9' * 5000}", "a: !!int x", "[" * 5000, "a: 2020-13-45"):
         file.write_text(text)
@@ -349,6 +393,12 @@ def test_unreadable_files_are_one_line(tmp_path):
             yaml.read_yaml(file)
         assert "\n" not in str(error.value)
         assert len(str(error.value)) < 400
+    for content, message in ((b"a: \xe9", "is not UTF-8 text"), (b"a: 1\n<<<<<<< HEAD\n", "has git's merge markers")):
+        file.write_bytes(content)
+        with pytest.raises(UserError, match=message):
+            yaml.read_yaml(file)
+    with pytest.raises(UserError, match="is a folder, expected a file"):
+        yaml.read_yaml(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import fcntl
 import os
 import pty
+import shutil
 import signal
 import struct
 import subprocess
@@ -170,6 +171,12 @@ def test_targets_run_with_what_they_need(repository):
     assert sorted(repository.started()) == ["other", "right"]
     assert "error: " in repository.run("nonsense", code=1)
     assert "0 is not in the range x>=1" in repository.run("-j", "0", code=2)
+
+
+def test_a_folder_that_git_does_not_know_is_told_what_makes_it_known(repository):
+    shutil.rmtree(repository.folder / ".git")
+    told = repository.run(code=1)
+    assert told == f"error: {repository.folder} is not a git repository; DVC needs one: `git init` makes it\n"
 
 
 def test_another_run_of_other_targets_is_left_alone(repository):

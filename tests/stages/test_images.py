@@ -269,7 +269,8 @@ def test_joint_training_may_start_at_random_or_given_weights(recorded, tmp_path)
         dataclasses.replace(finetuned(steps=0).features, finetune=False)
 
 
-def test_mistakes_are_one_line_and_leave_nothing(recorded, tmp_path):
+def test_mistakes_are_one_line_and_leave_nothing(recorded, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
     with pytest.raises(UserError, match="data/raw/calvin is not raw CALVIN play"):
         pack()
     with pytest.raises(UserError, match="data/frames/calvin holds no packed frames"):
@@ -281,7 +282,7 @@ def test_mistakes_are_one_line_and_leave_nothing(recorded, tmp_path):
     assert not paths.frames("calvin").exists()
     pack()
     with pytest.raises(UserError, match=r"weights.pth has SHA-256 \w+, but features.weights says 00"):
-        make_features(given(tmp_path, sha256="00"))
+        make_features(given(tmp_path, path="~/weights.pth", sha256="00"))
     with pytest.raises(UserError, match=r"recipes/preprocess/block_push.json is missing: params.yaml has no"):
         main("block_push")
     assert not paths.play("calvin").exists()

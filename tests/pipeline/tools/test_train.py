@@ -131,6 +131,8 @@ def test_models_of_an_archive_are_taken_as_trained(place, monkeypatch, capsys):
     monkeypatch.setattr(stage, "Training", None)  # nothing is trained
     train_stage()
     assert models("models") == kept
+    with pytest.raises(UserError, match=r"data has no model of a cell of params\.yaml"):
+        import_cells(Path("data"))
     shutil.rmtree("data")
     import_cells(Path("archive"))
     assert f"{CELL}: data/play/block_push is not a play dataset" in capsys.readouterr().out

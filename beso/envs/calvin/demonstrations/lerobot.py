@@ -23,7 +23,8 @@ import cv2
 import numpy as np
 
 from beso.checks import numbers
-from beso.envs.calvin.demonstrations.official import LARGEST
+from beso.config import shown
+from beso.envs.calvin.demonstrations.official import LARGEST, LARGEST_FRAME
 from beso.envs.calvin.demonstrations.raw import BATCH, COLUMNS, RawPlay, writing
 from beso.envs.calvin.simulator import tasks
 from beso.envs.calvin.simulator.play_table import CONTROL_HZ
@@ -227,14 +228,14 @@ def convert(folder: Path, target: Path, size: int | None) -> None:
         UserError: a file is missing or damaged, the dataset has other columns, a number is not finite or out of range,
             or the packages are not installed.
     """
-    _arrow()
-    features, said = read_json(folder / INFO).get("features"), read_json(folder / PLAY)
+    info, said = read_json(folder / INFO), read_json(folder / PLAY)
+    features = info.get("features")
     missing = [key for key in (IMAGE, *KEYS) if not isinstance(features, dict) or key not in features]
     if missing:
         raise UserError(f"{folder / INFO}: no column of this name: {missing[0]}; `beso export` writes it")
     meta = {key: value for key, value in said.items() if key not in ("sha256", "counts", "versions")}
     with writing(target, meta) as writer:
-        episode, shape = None, None
+        episode, shape, count = None, None, 0
         for path, number, columns in _rows(folder, size):
             if episode not in (None, number):
                 writer.end_episode()
@@ -242,25 +243,35 @@ def convert(folder: Path, target: Path, size: int | None) -> None:
             if columns["frames"].shape[1:] != shape:
                 raise UserError(f"{path}: a frame of shape {columns['frames'].shape[1:]}, those before have {shape}")
             writer.append(columns)
+            count += len(columns["frames"])
+        if count != info.get("total_frames"):
+            raise UserError(f"{folder} has {count} frames; {INFO} says {shown(info.get('total_frames'))}")
         if episode is not None:
             writer.end_episode()
 
 
 def _rows(folder: Path, size: int | None) -> Iterator[tuple[Path, int, dict[str, np.ndarray]]]:
     """Rows of one episode each, at most BATCH, with its number and the file's path."""
-    for path in sorted((folder / "data").glob("*/*.parquet")):
+    count = 0
+    for path in sorted(filter(Path.is_file, (folder / "data").glob("*/*.parquet"))):
         for table in _batches(path):
-            episodes = table.column("episode_index").to_numpy()
+            index, episodes = (
+                numbers(f"{path}: {key}", table.column(key).to_pylist(), (None,)) for key in ("index", "episode_index")
+            )
+            if not np.array_equal(index, np.arange(count, count + len(index))):
+                raise UserError(f"{path}: index does not go on from {count}: a file or rows are missing or moved")
+            count += len(index)
             cuts = [0, *(np.flatnonzero(np.diff(episodes)) + 1), len(episodes)]
             for start, end in itertools.pairwise(cuts):
                 yield path, int(episodes[start]), _columns(table.slice(start, end - start), path, size)
 
 
 def _batches(path: Path) -> Iterator[Any]:
-    columns = [IMAGE, *KEYS, "episode_index"]
+    columns = [IMAGE, *KEYS, "index", "episode_index"]
+    schema = _arrow().schema([_schema().field(name) for name in columns])
     try:
         file = _parquet().ParquetFile(path, page_checksum_verification=True)
-        yield from (batch.select(columns) for batch in file.iter_batches(BATCH, columns=columns))
+        yield from (batch.select(columns).cast(schema) for batch in file.iter_batches(BATCH, columns=columns))
     except Exception as error:  # pyarrow raises many kinds, some with many lines
         raise UserError(
             f"{path} is damaged, or has not the columns of `beso export` ({type(error).__name__})"
@@ -278,12 +289,16 @@ def _columns(table: Any, path: Path, size: int | None) -> dict[str, np.ndarray]:
         within(what, values, LARGEST.get(name, 1))
         found[name] = values.astype(dtype)
     frames = [_frame((picture or {}).get("bytes"), path, size) for picture in table.column(IMAGE).to_pylist()]
+    if len({frame.shape for frame in frames}) > 1:
+        raise UserError(f"{path}: {IMAGE} holds pictures of more than one size")
     return {"frames": np.stack(frames), **found}
 
 
 def _frame(png: bytes | None, path: Path, size: int | None) -> np.ndarray:
-    frame = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) if png else None
-    if frame is None or frame.shape[0] != frame.shape[1]:
+    width, height = (int.from_bytes((png or b"")[at : at + 4], "big") for at in (16, 20))  # as PNG has them
+    fits = 0 < 3 * width * height <= LARGEST_FRAME and width == height
+    frame = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) if png and fits else None
+    if frame is None:
         raise UserError(f"{path}: {IMAGE} holds something else than square pictures")
     if size is not None and len(frame) != size:
         frame = cv2.resize(frame, (size, size), interpolation=cv2.INTER_AREA)

@@ -9,6 +9,7 @@ This is the contents of the folder `training` or `validation` of a data set of g
 
 import itertools
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -82,7 +83,8 @@ def layout(folder: Path) -> Layout:
     for (_, last), (first, _) in itertools.pairwise(episodes):
         if first <= last:
             raise UserError(f"{index}: an episode starts at frame {first} before another ends at {last}")
-    present = {path.name for path in folder.iterdir()}
+    with os.scandir(folder) as entries:
+        present = {entry.name for entry in entries if entry.is_file(follow_symlinks=False) or entry.is_symlink()}
     names = [re.fullmatch(r"episode_(\d+)\.npz", name) for name in present]
     digits = {len(match.group(1)) for match in names if match}
     found = Layout(folder, episodes, digits.pop() if len(digits) == 1 else DIGITS)

@@ -15,14 +15,14 @@ wrote is read as it is.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from beso.checks import numbers
 from beso.data.play import Episode, PlayDataset, assemble
 from beso.envs import minari_data, published
 from beso.envs.kitchen.spec import OBJECTS, ROBOT, SPEC, done
-from beso.envs.minari_data import HDF5, Opened
+from beso.envs.minari_data import HDF5, Opened, Recorded
 from beso.errors import UserError
 from beso.files import sha256
 
@@ -89,18 +89,15 @@ def _load_minari(dataset: Opened) -> PlayDataset:
     return assemble(episodes, SPEC, {"source": "Minari kitchen", "files": dataset.digests})
 
 
-def _minari_episodes(recorded: list[Any], path: Path) -> Iterator[Episode]:
+def _minari_episodes(recorded: list[Recorded], path: Path) -> Iterator[Episode]:
     for i, episode in enumerate(recorded):
-        if not isinstance(episode.observations, dict) or "observation" not in episode.observations:
-            raise UserError(f"{path}: the observations of episode {i} are not those of FrankaKitchen-v1")
-        states = episode.observations["observation"]
+        where = f"{path}: demonstration {i}"
+        if episode.observations is None or episode.actions is None:
+            raise UserError(f"{where} has not the observations and actions of FrankaKitchen-v1")
         # One observation more than actions: the last one, in which nothing was done, is left out.
-        expected = (len(episode.actions) + 1, FRANKA_KITCHEN_WIDTH)
-        if states.shape != expected:
-            raise UserError(f"{path}: the observations of episode {i} have shape {states.shape}, expected {expected}")
-        if episode.actions.shape[1:] != (SPEC.action_size,):
-            raise UserError(f"{path}: an action of episode {i} is not {SPEC.action_size} numbers")
-        coordinates = np.concatenate([states[:-1, ROBOT], states[:-1, OBJECTS]], axis=1)
+        expected = (len(episode.actions) + 1 if episode.actions.ndim else None, FRANKA_KITCHEN_WIDTH)
+        states = numbers(f"{where}: observations", episode.observations, expected)[:-1]
+        coordinates = np.concatenate([states[:, ROBOT], states[:, OBJECTS]], axis=1)
         tasks = done(coordinates)
-        published.check((coordinates, episode.actions, tasks), SPEC, LARGEST, f"{path}: demonstration {i}")
+        published.check((coordinates, episode.actions, tasks), SPEC, LARGEST, where)
         yield Episode(coordinates, episode.actions, published.first_entries(tasks))

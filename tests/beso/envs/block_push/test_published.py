@@ -225,6 +225,9 @@ def test_arrays_of_other_than_real_numbers_are_refused(write, arrays, spec, kind
         (torch.Tensor.bfloat16, "holds a tensor of bfloat16, expected plain real numbers"),
         (torch.Tensor.to_sparse, "holds a tensor of sparse_coo, expected plain real numbers"),
         (lambda tensor: tensor.to(torch.complex64), "holds a tensor of complex64, expected plain real numbers"),
+        (lambda tensor: tensor.to(torch.float8_e4m3fnuz), "holds a tensor of float8_e4m3fnuz, expected plain real"),
+        (lambda tensor: tensor.to("meta"), "holds a tensor of meta, expected plain real numbers"),
+        (lambda tensor: torch.nested.nested_tensor([tensor[0]]), "holds a tensor of nested, expected plain real"),
         (lambda tensor: torch.zeros(1).expand(10**12), "is damaged: 1000000000000 numbers in"),
     ],
 )
@@ -232,6 +235,12 @@ def test_tensors_of_another_kind_are_refused(write, arrays, spec, change, messag
     folder = write()
     torch.save(change(torch.from_numpy(arrays[NAMES[3]])), folder / "onehot_goals.pth")
     refused(f"onehot_goals.pth {message}", folder, spec)
+
+
+def test_a_tensor_that_is_stored_with_the_other_sign_is_read(write, arrays, spec):
+    folder, stored = write(), torch.complex(torch.zeros(1), -torch.from_numpy(arrays[NAMES[3]]).float())
+    torch.save(stored.conj().imag, folder / "onehot_goals.pth")
+    assert np.array_equal(load(folder).tasks, load(write()).tasks)
 
 
 def test_a_file_that_would_unpack_to_much_more_is_refused_packed(write, spec):

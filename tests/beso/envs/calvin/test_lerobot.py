@@ -1,7 +1,10 @@
 """Play with pictures as a LeRobot dataset: its layout, and the way back to the same bytes."""
 
 import json
+import os
+import struct
 import sys
+import zlib
 
 import numpy as np
 import pandas as pd
@@ -157,6 +160,36 @@ def changed(key, value):
     return change
 
 
+def paths_of_pictures(folder):
+    path = folder / "data/chunk-000/file-000.parquet"
+    table = parquet.read_table(path)
+    column = pyarrow_array(["frame.png"] * len(table), None)
+    parquet.write_table(table.set_column(0, table.column_names[0], [column]), path)
+
+
+def lose_rows(folder):
+    path = folder / "data/chunk-000/file-000.parquet"
+    table = parquet.read_table(path)
+    parquet.write_table(table.take([i for i in range(len(table)) if i != 3]), path)
+
+
+def lose_the_last_row(folder):
+    path = folder / "data/chunk-000/file-000.parquet"
+    parquet.write_table(parquet.read_table(path)[:-1], path)
+
+
+def a_pipe_instead(folder):
+    path = folder / "data/chunk-000/file-000.parquet"
+    path.unlink()
+    os.mkfifo(path)
+
+
+def tall_picture(side):
+    """A PNG of no data whose header tells of that many pixels."""
+    header = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
+
+
 def pyarrow_array(rows, kind):
     import pyarrow
 
@@ -176,6 +209,12 @@ def pyarrow_array(rows, kind):
         (changed("segment_start", 2), "segment_start holds 2, expected 0 and 1"),
         (changed("observation.images.static", {"bytes": b"no picture", "path": ""}), "something else than square"),
         (changed("observation.images.static", None), "something else than square"),
+        (changed("observation.images.static", {"bytes": tall_picture(30000), "path": ""}), "something else than squ"),
+        (paths_of_pictures, "file-000.parquet is damaged, or has not"),
+        (changed("episode_index", None), "episode_index holds object, expected real numbers"),
+        (lose_rows, "index does not go on from 0: a file or rows are missing or moved"),
+        (a_pipe_instead, r"has 0 frames; meta/info\.json says 312"),
+        (lose_the_last_row, r"has 311 frames; meta/info\.json says 312"),
     ],
 )
 def test_damage_is_one_line(tmp_path, folder, damage, message):
@@ -184,6 +223,13 @@ def test_damage_is_one_line(tmp_path, folder, damage, message):
         recording.convert(folder, tmp_path / "again", SIZE, 1)
     assert len(str(caught.value).splitlines()) == 1
     assert not (tmp_path / "again").exists()
+
+
+def test_pictures_of_two_sizes_are_refused_where_none_is_asked_for(tmp_path, folder):
+    picture = lerobot._png(np.zeros((9, 9, 3), dtype=np.uint8))
+    changed("observation.images.static", {"bytes": picture, "path": ""})(folder)
+    with pytest.raises(UserError, match="holds pictures of more than one size"):
+        lerobot.convert(folder, tmp_path / "again", None)
 
 
 def test_without_the_package_it_says_what_to_install(tmp_path, play, monkeypatch):

@@ -1,6 +1,8 @@
 """Play on disk, in our own form and in CALVIN's."""
 
+import os
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -202,8 +204,11 @@ class TestOfficial:
         with pytest.raises(UserError, match="the folder must be `training` or `validation`"):
             convert(calvin.parent, tmp_path / "again")
 
-    def test_a_missing_frame(self, tmp_path, calvin):
+    @pytest.mark.parametrize("instead", [None, Path.mkdir, os.mkfifo])
+    def test_a_missing_frame(self, tmp_path, calvin, instead):
         (calvin / "episode_0000123.npz").unlink()
+        if instead:
+            instead(calvin / "episode_0000123.npz")
         with pytest.raises(UserError, match=r"episode_0000123.npz is missing, a frame of the episode from 5 to 304"):
             convert(calvin, tmp_path / "again")
         assert not (tmp_path / "again").exists()

@@ -1,5 +1,6 @@
 """Import of files in the two published layouts: relay arrays, time first and padded with zeros; Minari's HDF5."""
 
+import json
 import pathlib
 import sys
 
@@ -7,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from gymnasium.envs.registration import EnvSpec
 
 from beso.envs.kitchen.demonstrations.published import COLUMNS, LONGEST, load
 from beso.envs.kitchen.spec import KETTLE, LIGHT_SWITCH, MICROWAVE, SLIDE_CABINET, SPEC, TASKS
@@ -262,15 +264,19 @@ def test_the_folder_with_the_file_itself_will_do(write_minari):
 
 
 def test_a_minari_dataset_of_another_environment_is_refused(write_minari):
-    refused(r"observations of episode 0 have shape \(11, 30\), expected \(11, 59\)", write_minari(EPISODES, width=30))
+    refused(
+        r"demonstration 0: observations has shape \(11, 30\), expected \(11, 59\)", write_minari(EPISODES, width=30)
+    )
 
 
 def test_a_minari_dataset_without_the_environments_observations_is_refused(write_minari):
-    refused("observations of episode 0 are not those of FrankaKitchen-v1", write_minari(EPISODES, key="pixels"))
+    refused(
+        "demonstration 0 has not the observations and actions of FrankaKitchen-v1", write_minari(EPISODES, key="pixels")
+    )
 
 
 def test_a_minari_dataset_with_other_actions_is_refused(write_minari):
-    refused("an action of episode 0 is not 9 numbers", write_minari(EPISODES, actions=4))
+    refused(r"demonstration 0: actions has shape \(10, 4\), expected \(10, 9\)", write_minari(EPISODES, actions=4))
 
 
 def test_a_minari_dataset_with_a_value_that_is_not_finite_is_refused(write_minari):
@@ -289,7 +295,34 @@ def test_a_damaged_minari_dataset_is_refused(write_minari):
     refused("main_data.hdf5 is damaged or no Minari dataset", folder)
 
 
+def test_what_a_minari_dataset_says_of_its_environment_is_not_run(write_minari):
+    """Minari makes the environment where a space is not told, and an entry point can be any function."""
+    folder = write_minari(EPISODES)
+    path, touched = folder / "data" / "metadata.json", folder / "touched"
+    metadata = json.loads(path.read_text())
+    del metadata["observation_space"]
+    command = {"args": ["touch", str(touched)]}
+    metadata["env_spec"] = EnvSpec("any-v0", entry_point="subprocess:check_output", kwargs=command).to_json()
+    path.write_text(json.dumps(metadata))
+    assert len(load(folder)) == 2
+    assert not touched.exists()
+
+
+def test_a_minari_dataset_that_lost_episodes_or_stores_fewer_numbers_than_it_says_is_refused(write_minari):
+    import h5py
+
+    folder = write_minari(EPISODES)
+    for kind, message in (("f4", r"float32 \(1000000000, 9\) in 0 bytes"), (h5py.string_dtype(), "object")):
+        with h5py.File(folder / "data" / "main_data.hdf5", "a") as file:
+            del file["episode_1/actions"]
+            file["episode_1"].create_dataset("actions", (10**9, 9), kind, chunks=(1, 9))
+        refused(f"episode_1: actions is damaged: {message}", folder)
+    with h5py.File(folder / "data" / "main_data.hdf5", "a") as file:
+        del file["episode_1"]
+    refused("main_data.hdf5 has 1 episodes; metadata.json says 2", folder)
+
+
 def test_a_minari_dataset_without_the_package_says_what_to_install(monkeypatch, tmp_path):
     (tmp_path / "main_data.hdf5").touch()
-    monkeypatch.setitem(sys.modules, "minari", None)
+    monkeypatch.setitem(sys.modules, "h5py", None)
     refused(r"needs the packages minari and h5py: install this project with its extra \[minari\]", tmp_path)
