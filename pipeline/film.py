@@ -1,19 +1,18 @@
-"""Films of rollouts as WebM (VP8), which every browser plays and OpenCV's wheels can write."""
+"""Films as WebM (VP8), which every browser plays and OpenCV's wheels can write."""
 
 import contextlib
 import io
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from beso.errors import CannotDrawError
-from beso.evaluation.config import Chunk
-from beso.evaluation.rollout import EvaluationJob, Row, evaluate
 from beso.files import replacing, write_json
 from pipeline.pool import HERE, map_jobs
 
@@ -21,32 +20,19 @@ FRAMES_PER_SECOND = 20  # about twice the environments' actions a second
 TRACK_NUMBER = b"\x73\xc5\x88"  # Matroska's TrackUID, an integer of 8 bytes
 
 
-def film_cell(job: EvaluationJob | None, target: Path) -> None:
-    """Write a folder with a film of a model's first episode, with the paper's kind of goal, and the episode's row.
+def write_film(target: Path, film: Callable[..., dict[str, Any]], job: tuple[Any, ...], against: str = "") -> None:
+    """Write a folder with `rollout.webm`, which `film(*job, path)` writes, and `rollout.json`, the row that it returns.
 
-    Without a job, or on a machine that cannot draw this environment, there is no film, and the row is the reason
-    (`no_film`).
+    With a reason against it, or on a machine that cannot draw, there is no film, and the row is the reason (`no_film`).
     """
     with replacing(target) as folder:
         folder.mkdir()
-        if job is None:
-            write_json(folder / "rollout.json", {"no_film": "params.yaml does not ask for one"})
-            return
         try:
-            (row,) = map_jobs(film_episode, [(job, folder / "rollout.webm")], HERE)
+            (row,) = [{"no_film": against}] if against else map_jobs(film, [(*job, folder / "rollout.webm")], HERE)
         except CannotDrawError as error:
             print(f"no film: {error}")
             row = {"no_film": str(error)}
         write_json(folder / "rollout.json", row)
-
-
-def film_episode(job: EvaluationJob, path: Path, episode: int = 0) -> Row:
-    """Play and film one episode; its row."""
-    frames: list[np.ndarray] = []
-    chunk = Chunk(job.config.goals[0], episode, episode + 1)
-    ((row,),) = evaluate(job, [chunk], frames.append)
-    write_video(path, frames, FRAMES_PER_SECOND)
-    return row
 
 
 def write_video(path: Path, frames: Sequence[np.ndarray], frames_per_second: float) -> None:

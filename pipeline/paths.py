@@ -23,6 +23,11 @@ def raw(environment: str) -> Path:
     return Path("data/raw") / environment
 
 
+def film_of_play(environment: str) -> Path:
+    """A folder with a film of play, `rollout.webm`, and what it shows, `rollout.json`."""
+    return Path("films") / environment / "play"
+
+
 def frames(environment: str) -> Path:
     """Packed frames of an environment that sees images."""
     return Path("data/frames") / environment

@@ -9,10 +9,12 @@ import importlib.metadata
 import math
 import shutil
 from pathlib import Path
+from typing import Any
 
 from beso import envs
 from beso.data import play
 from pipeline import paths, recipes, scratch
+from pipeline.film import FRAMES_PER_SECOND, write_film, write_video
 from pipeline.machine import Machine, available_workers
 from pipeline.pool import map_jobs
 from pipeline.recipes import EnvironmentRecipe
@@ -24,8 +26,10 @@ def main(env: str) -> None:
 
 
 def collect(recipe: EnvironmentRecipe, machine: Machine) -> None:
-    """Make or import the play of one environment and write it."""
+    """Make or import the play of one environment and write it; where it was made here, with a film of some."""
     {"play": collect_play, "raw": collect_raw}[recipe.settings.to](recipe, machine)
+    against = "" if recipe.settings.source == "scripted" else "its play was recorded elsewhere"
+    write_film(paths.film_of_play(recipe.env), film_play, (recipe,), against)
 
 
 def collect_play(recipe: EnvironmentRecipe, machine: Machine) -> None:
@@ -65,3 +69,13 @@ def collect_raw(recipe: EnvironmentRecipe, machine: Machine) -> None:
     room.join(parts, target, recipe.seed)
     shutil.rmtree(waiting)
     print(f"{len(parts)} episodes, {steps} steps")
+
+
+def film_play(recipe: EnvironmentRecipe, path: Path) -> dict[str, Any]:
+    """Film what the environment shows of its play; what that is, in words."""
+    if recipe.settings.to == "raw":
+        pictures, row = envs.recording(recipe.env).film(paths.raw(recipe.env))
+    else:
+        pictures, row = envs.filmer(recipe.env)(recipe.seed)
+    write_video(path, pictures, FRAMES_PER_SECOND)
+    return row

@@ -156,7 +156,8 @@ def test_what_an_edit_reruns():
     report = {f"{stage} {method}" for stage in ("tables", "page") for method in ("c_beso", "gcbc")}
     assert stale("beso/envs/block_push/report.py") == report, "a label reruns the report alone"
     assert stale("pipeline/report/statistics.py") == report
-    assert stale("pipeline/film.py") == {"evaluate c_beso", "evaluate gcbc"}
+    films = {f"{stage} {method}" for stage in ("collect", "evaluate") for method in ("c_beso", "gcbc")}
+    assert stale("pipeline/film.py") == films
     assert not any(name.startswith("collect") for name in stale("beso/envs/block_push/evaluation.py"))
     of_gcbc = {f"{stage} gcbc" for stage in ("train", "evaluate", "study")}
     assert stale("beso/methods/gcbc.py") == of_gcbc | others

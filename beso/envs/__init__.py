@@ -2,7 +2,8 @@
 
     <name>/spec.py                      SPEC: what training must know (beso.data.spec)
     <name>/simulator/                   the gymnasium environment, registered when this package is imported
-    <name>/demonstrations/scripted.py   record(seed, index): one scripted demonstration
+    <name>/demonstrations/scripted.py   record(seed, index): one scripted demonstration; film(seed),
+                                        if it likes: pictures of one, for the page (protocol.Filmer)
     <name>/demonstrations/published.py  load(folder): published play data
     <name>/trials.py                    make(request): the episodes that policies are evaluated on (beso.envs.protocol)
     <name>/evaluation.py                how these episodes are played and scored
@@ -12,7 +13,7 @@
 A spec may also have SINGLE_TASKS, those that a trial can ask for by itself; which of them trials ask for is then a
 parameter (`evaluation.tasks`). An environment that sees images has, instead of `record` and `published.py`,
 
-    <name>/demonstrations/recording.py  record, join, convert, export: raw play, with frames (protocol.Recording)
+    <name>/demonstrations/recording.py  record, join, film, convert, export: raw play, with frames (protocol.Recording)
     <name>/demonstrations/raw.py        load(folder): raw play
     <name>/probe.py                     TARGETS: what the features should tell (beso.images.probe)
     <name>/states.py                    the same with the simulator's states for images, if it likes (`beso states`)
@@ -43,11 +44,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beso.errors import UserError
+from beso.errors import CannotDrawError, UserError
 
 if TYPE_CHECKING:
     from beso.data.spec import PlaySpec
-    from beso.envs.protocol import Evaluation, Importer, Raw, Recorder, Recording, States, TrialMaker
+    from beso.envs.protocol import Evaluation, Filmer, Importer, Raw, Recorder, Recording, States, TrialMaker
     from beso.envs.reporting import Report
     from beso.images.probe import Target
     from beso.interface import Interface
@@ -97,6 +98,14 @@ def interface(name: str) -> Interface:
 def recorder(name: str) -> Recorder:
     """The function that records one scripted demonstration."""
     return _part(name, "demonstrations.scripted").record
+
+
+def filmer(name: str) -> Filmer:
+    """The function that films one scripted demonstration. Raises CannotDrawError if the environment has none."""
+    film: Filmer | None = getattr(_part(name, "demonstrations.scripted"), "film", None)
+    if film is None:
+        raise CannotDrawError(f"environment {name!r} films no play")
+    return film
 
 
 def importer(name: str) -> Importer:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Recorder = Callable[[int, int], Episode]  # (root seed, index of the demonstration)
+Filmer = Callable[[int], tuple[list[np.ndarray], dict[str, Any]]]  # root seed -> pictures (H, W, 3), what they show
 Importer = Callable[[Path], PlayDataset]
 Encoder = Callable[[np.ndarray], np.ndarray]  # raw observations (B, ...) -> what the spec describes, (B, O)
 
@@ -37,6 +38,9 @@ class Recording(Protocol):
 
     def join(self, parts: list[Path], folder: Path, seed: int) -> None:
         """Write the raw play made of recorded episodes."""
+
+    def film(self, folder: Path) -> tuple[list[np.ndarray], dict[str, Any]]:
+        """Pictures (H, W, 3) of some raw play in a folder, and what they show, under "shows"."""
 
     def convert(self, published: Path, folder: Path, size: int, workers: int) -> None:
         """Write the raw play of published data."""

@@ -120,28 +120,34 @@ def _figure(name: str, caption: str) -> Picture:
 
 
 def _films(params: Params, room: float) -> list[Picture]:
-    """The films. Where not all fit into so many bytes, those of every environment's first methods are left out."""
-    chosen = [cell for cell in params.cells.values() if cell.evaluate.film]
-    envs_of = pd.Series([cell.env for cell in chosen], dtype=str)
-    behind = envs_of.groupby(envs_of).cumcount(ascending=False)  # how many films of the environment come after
+    """The films: of each environment its play, then its methods.
+
+    Where not all fit into so many bytes, those of every environment's first methods are left out.
+    """
+    chosen: list[tuple[int, str, str, Path]] = []  # its turn in taking room, environment, what is filmed, folder
+    for env in params.envs:
+        filmed = [cell for cell in params.cells_in(env) if cell.evaluate.film]
+        chosen.append((0, env, "Play", paths.film_of_play(env)))
+        chosen += [(len(filmed) - i, env, params.labels[of.method], of.film_folder) for i, of in enumerate(filmed)]
     films = {}
-    for i in behind.sort_values(kind="stable").index:
-        path: Path = chosen[i].film_folder / "rollout.webm"
-        row, metric = read_json(path.with_suffix(".json")), envs.report(chosen[i].env).METRICS[-1]
-        caption, data = f"{params.labels[chosen[i].method]} in {envs.report(chosen[i].env).LABEL}", None
+    for _, env, what, folder in sorted(chosen, key=lambda film: film[0]):
+        path = folder / "rollout.webm"
+        row, metric = read_json(path.with_suffix(".json")), envs.report(env).METRICS[-1]
+        caption, data = f"{what} in {envs.report(env).LABEL}", None
         if "no_film" in row:
             caption += f": no film. {row['no_film']}"
         else:
-            caption += (
-                f": seed {row['seed']}, episode {row['episode']}, {metric.label.lower()} {row[metric.name]:g} after"
+            told = row.get("shows") or (
+                f"seed {row['seed']}, episode {row['episode']}, {metric.label.lower()} {row[metric.name]:g} after"
+                f" {row['length']} actions"
             )
-            caption += f" {row['length']} actions"
+            caption += f": {told}"
             data = _data_url(path.read_bytes(), "video/webm")
             if len(data) > room:
                 caption, data = f"{caption}. The page has no room for it: {path}", None
         room -= len(data or "")
-        films[i] = Picture(chosen[i].name, caption, data)
-    return [films[i] for i in range(len(chosen))]
+        films[folder] = Picture(folder.as_posix(), caption, data)
+    return [films[folder] for *_, folder in chosen]
 
 
 def _data_url(content: bytes, kind: str) -> str:

@@ -17,11 +17,12 @@ from beso.evaluation import trials
 from beso.evaluation.config import Chunk
 from beso.evaluation.rollout import EvaluationJob, Row, evaluate
 from beso.files import replacing
-from pipeline.film import FRAMES_PER_SECOND, film_episode
+from pipeline.film import FRAMES_PER_SECOND
 from pipeline.machine import Machine
 from pipeline.params import PATH, load
 from pipeline.play import evaluation_jobs
 from pipeline.pool import map_jobs
+from stages.evaluate import film_episode
 
 HEIGHT = 180  # pixels of the moving picture
 SKIPPED = 4  # of its frames, one in so many is shown

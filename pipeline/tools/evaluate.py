@@ -14,13 +14,13 @@ from beso import envs
 from beso.core import checkpoint
 from beso.errors import UserError
 from beso.files import write_text
-from pipeline.film import film_episode
 from pipeline.machine import Machine
 from pipeline.params import PATH, load
 from pipeline.play import evaluation_jobs, play_all
 from pipeline.report.statistics import over_seeds
 from pipeline.report.tables import number
 from pipeline.tools.train import finished
+from stages.evaluate import film_episode
 
 
 def evaluate(name: str, seeds: Sequence[int], models: Path, rows: Path | None) -> None:

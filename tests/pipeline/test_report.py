@@ -12,10 +12,8 @@ import pytest
 from ruamel.yaml import YAML
 
 from beso.errors import CannotDrawError
-from pipeline import film, params, profile
-from pipeline.film import write_video
-from pipeline.machine import Machine
-from pipeline.play import evaluation_jobs
+from pipeline import params, profile
+from pipeline.film import write_film, write_video
 from pipeline.report import page
 from pipeline.report.comparison import places
 from pipeline.report.gather import gather
@@ -312,9 +310,7 @@ def test_a_machine_that_cannot_draw_says_so_on_the_page(workspace, monkeypatch):
         raise CannotDrawError("there is no pencil")
 
     monkeypatch.chdir(workspace.folder)
-    monkeypatch.setattr(film, "film_episode", cannot_draw)
-    cell = params.load().cell("kitchen", "c_beso")
-    film.film_cell(evaluation_jobs(cell.evaluate, Machine())[0], cell.film_folder)
+    write_film(params.load().cell("kitchen", "c_beso").film_folder, cannot_draw, ())
     workspace.stage("page")
     text = (workspace.folder / "reports/report.html").read_text()
     assert "C-BESO in Relay Kitchen: no film. there is no pencil" in text

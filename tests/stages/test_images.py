@@ -99,6 +99,7 @@ def test_raw_play_is_the_same_for_any_number_of_workers(recorded, workers):
     make_raw(workers=workers)
     assert contents(paths.raw("calvin")) == contents(recorded)
     assert raw.load(paths.raw("calvin")).meta["seed"] == 0
+    assert (paths.film_of_play("calvin") / "rollout.webm").stat().st_size > 1000
 
 
 def test_more_episodes_are_recorded_where_some_end_early(monkeypatch):
@@ -142,6 +143,7 @@ def test_published_data_keep_their_split(recorded, tmp_path):
         np.savez(first, **frame)
     published = dataclasses.replace(COLLECT, source="published", folder=str(tmp_path / "published"))
     make_raw(published)
+    assert [path.name for path in paths.film_of_play("calvin").iterdir()] == ["rollout.json"]
     pack()
     packed = frames.load(paths.frames("calvin"))
     assert packed.meta["held_out_episodes"] == [4, 5, 6, 7]

@@ -42,7 +42,7 @@ def smoke(monkeypatch, tmp_path):
     smoke = profile.load("smoke")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(playing, "evaluate", played)
-    monkeypatch.setattr(evaluate, "film_cell", lambda job, target: None)
+    monkeypatch.setattr(evaluate, "write_film", lambda *arguments: None)
     room = smoke.environments["calvin"]
     config = dataclasses.replace(room.evaluation, rollouts=5, chunk=2, tasks=room.evaluation.tasks[:3])
     room = dataclasses.replace(room, seeds=(1, 2), evaluation=config)

@@ -8,6 +8,7 @@ once an episode from four equally likely plans; this is what makes the data mult
 
 import functools
 import math
+from typing import Any
 
 import numpy as np
 
@@ -139,22 +140,36 @@ def record(seed: int, index: int) -> Episode:
     The published recipe: up to 200 actions, and one more row with the last observation and the action the controller
     would have taken there.
     """
-    env = _recording_environment()
+    return _play(_recording_environment(), seed, index)[0]
+
+
+def film(seed: int) -> tuple[list[np.ndarray], dict[str, Any]]:
+    """Pictures of the first demonstration, and what they show (beso.envs.protocol.Filmer)."""
+    env = BlockPushEnv(render_mode="rgb_array", tolerance=RECORDING_TOLERANCE)
+    _, pictures = _play(env, seed, 0)
+    env.close()
+    return pictures, {"demonstration": 0, "shows": "the arm pushes each block into a target"}
+
+
+def _play(env: BlockPushEnv, seed: int, index: int) -> tuple[Episode, list[Any]]:
+    """A demonstration; and a picture of every state, where the environment draws, else None."""
     rng = generator(seed, "block_push demonstration", index)
     demonstrator = BlockPushDemonstrator.draw(rng)
     observation, _ = env.reset(seed=int(rng.integers(2**62)))
     observations, actions = [observation], [demonstrator.action(observation)]
+    pictures: list[Any] = [env.render()]
     completed: list[tuple[int, int]] = []  # (step, pair)
     terminated = False
     while not terminated and len(actions) <= RECORDING_LIMIT:
         observation, _, terminated, _, info = env.step(actions[-1])
         completed += [(len(actions), pair) for pair in info["tasks"][len(completed) :]]
         observations.append(observation)
+        pictures.append(env.render())
         actions.append(demonstrator.action(observation))
     tasks = np.zeros((len(actions), PAIRS), dtype=np.uint8)
     for step, pair in completed:
         tasks[step, pair] = 1
-    return Episode(np.array(observations, dtype=np.float32), np.array(actions), tasks)
+    return Episode(np.array(observations, dtype=np.float32), np.array(actions), tasks), pictures
 
 
 @functools.cache

@@ -1,11 +1,17 @@
 """How raw play comes to be: recorded here, episode by episode, or brought over from CALVIN's published data."""
 
 from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
 
 from beso.envs.calvin.demonstrations import lerobot, official, raw, scripted
+from beso.envs.calvin.simulator import tasks
 from beso.errors import UserError
 
 TRAINING, VALIDATION = "training", "validation"  # folders of the published data
+FILM_LENGTH, FILM_SIZE = 200, (240, 240)  # frames, pixels
 
 
 def record(seed: int, index: int, length: int, size: int, folder: Path) -> int:
@@ -18,6 +24,15 @@ def record(seed: int, index: int, length: int, size: int, folder: Path) -> int:
 def join(parts: list[Path], folder: Path, seed: int) -> None:
     """Write the raw play made of recorded episodes."""
     raw.join(parts, folder, {"source": "scripted", "seed": seed, "labelled": True})
+
+
+def film(folder: Path) -> tuple[list[np.ndarray], dict[str, Any]]:
+    """Frames of the first episode of raw play, enlarged, and what they show."""
+    play = raw.load(folder, verify=False)
+    rows = slice(0, min(FILM_LENGTH, int(play.episode_ends[0])))
+    done = ", ".join(tasks.NAMES[i].replace("_", " ") for i in np.nonzero(play.tasks[rows])[1])
+    pictures = [cv2.resize(frame, FILM_SIZE, interpolation=cv2.INTER_CUBIC) for frame in play.frames[rows]]
+    return pictures, {"demonstration": 0, "shows": f"the frames that policies learn from. Tasks done: {done or 'none'}"}
 
 
 def convert(published: Path, folder: Path, size: int, workers: int) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +44,8 @@ class Player:
         completed: tasks that the environment counts as done, in order.
         done: (7,) booleans for each observation, what is done in it.
         modes: (task, mode) of every attempt.
+        made_good: tasks whose first attempt failed after a mistake and that a later attempt did.
+        pictures: of every state, where the kitchen draws; else None.
     """
 
     def __init__(self, env: KitchenEnv, rng: np.random.Generator) -> None:
@@ -54,6 +57,8 @@ class Player:
         self.observations, self.actions, self.done = [observation], list[np.ndarray](), [env.done()]
         self.completed: tuple[int, ...] = info["tasks"]
         self.modes: list[tuple[int, str]] = []
+        self.made_good: list[int] = []
+        self.pictures: list[Any] = [env.render()]
 
     def do(
         self, task: int, mode: str | None = None, attempts: int = ATTEMPTS, mistake: np.ndarray | None = None
@@ -68,12 +73,15 @@ class Player:
                 make none.
         """
         self._scene.mistake = self._mistake() if mistake is None else mistake
-        for _ in range(attempts):
+        mistaken = bool(self._scene.mistake.any())
+        for attempt in range(attempts):
             drawn = mode or SKILLS[task].draw_mode(self._rng)
             self.modes.append((task, drawn))
             self._follow(SKILLS[task].movement(self._scene, self._rng, drawn))
             self._scene.mistake = np.zeros(3)
             if self.done[-1][task]:
+                if mistaken and attempt:
+                    self.made_good.append(task)
                 return True
         return False
 
@@ -116,4 +124,5 @@ class Player:
         self.actions.append(wanted)
         self.observations.append(observation)
         self.done.append(self._env.done())
+        self.pictures.append(self._env.render())
         self.completed = info["tasks"]

@@ -7,6 +7,8 @@ that they can serve as a goal.
 """
 
 import functools
+import itertools
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +16,7 @@ from beso.core.seeding import generator
 from beso.data.play import Episode
 from beso.envs.kitchen.demonstrations.player import LIMIT, Player
 from beso.envs.kitchen.simulator import KitchenEnv
-from beso.envs.kitchen.spec import TASKS
+from beso.envs.kitchen.spec import MICROWAVE, TASKS
 
 LETTERS = {task.letter: index for index, task in enumerate(TASKS)}
 HUMAN_TASK_SETS = tuple(
@@ -38,12 +40,32 @@ def record(seed: int, index: int) -> Episode:
         T steps: noisy observations (T, 30), the actions taken there (T, 9), and 1 in the first state in which a task
         is done (T, 7).
     """
-    env = _recording_environment()
+    return _episode(*play(_recording_environment(), seed, index))
+
+
+def film(seed: int) -> tuple[list[np.ndarray], dict[str, Any]]:
+    """Pictures of demonstration `filmed(seed)`, and what they show (beso.envs.protocol.Filmer)."""
+    env, index = KitchenEnv(render_mode="rgb_array"), filmed(seed)
+    player, _ = play(env, seed, index)
+    env.close()
+    others = ", ".join(TASKS[task].name for task in player.completed if task != MICROWAVE)
+    shows = f"the hand misses the microwave's handle by some centimetres, tries again, and opens it. Then: {others}"
+    return player.pictures, {"demonstration": index, "shows": shows}
+
+
+def filmed(seed: int) -> int:
+    """The first demonstration in which the microwave is missed and then opened; the camera sees no mistake better."""
+    played = (play(_recording_environment(), seed, index)[0] for index in itertools.count())
+    return next(index for index, player in enumerate(played) if MICROWAVE in player.made_good)
+
+
+def play(env: KitchenEnv, seed: int, index: int) -> tuple[Player, int]:
+    """The take that is a demonstration, and the number of those before it."""
     wanted = task_set(seed, index)
     for take in range(MOST_TAKES):
         player = Player(env, generator(seed, "kitchen demonstration", index, take))
         if perform(player, wanted):
-            return _episode(player, failed_takes=take)
+            return player, take
     raise RuntimeError(f"demonstration {index} of seed {seed} failed {MOST_TAKES} times")
 
 

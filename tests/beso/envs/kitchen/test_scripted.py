@@ -4,6 +4,7 @@ import pytest
 from beso.core.seeding import generator
 from beso.data import play
 from beso.envs.kitchen import spec
+from beso.envs.kitchen.demonstrations import scripted
 from beso.envs.kitchen.demonstrations.player import LARGEST_TREMOR, LIMIT, Player
 from beso.envs.kitchen.demonstrations.scripted import HUMAN_TASK_SETS, record, task_set
 from beso.envs.kitchen.demonstrations.skills import SKILLS
@@ -52,6 +53,14 @@ def test_a_mistake_is_made_good(env):
     player = Player(env, generator(1, "test of a mistake"))
     assert player.do(spec.BOTTOM_BURNER, "middle", mistake=np.array([0.0, -0.08, 0.0]))
     assert len(player.modes) == 2
+
+
+def test_the_filmed_demonstration_has_a_failed_attempt_made_good(env):
+    index = scripted.filmed(0)
+    player, _ = scripted.play(env, 0, index)
+    assert player.completed == task_set(0, index)
+    assert [task for task, _ in player.modes[:2]] == [spec.MICROWAVE] * 2
+    assert player.made_good[0] == spec.MICROWAVE
 
 
 def test_a_quarter_of_the_first_attempts_begin_with_a_mistake(env):
