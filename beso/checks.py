@@ -47,8 +47,8 @@ def finite(what: str, array: np.ndarray) -> None:
         raise UserError(f"{what} holds {array[place]}{where}: every number must be finite")
 
 
-def not_copied(self: object, memo: Any = None) -> NoReturn:
-    """For `__copy__` and `__deepcopy__` of what stands on a simulation: a copy would share it.
+def not_copied(self: object, protocol: Any) -> NoReturn:
+    """For `__reduce_ex__` of what stands on a simulation: a copy or pickle would share it, or break it.
 
     Raises:
         TypeError: always.

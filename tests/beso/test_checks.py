@@ -1,4 +1,5 @@
 import copy
+import pickle
 
 import numpy as np
 import pytest
@@ -35,9 +36,9 @@ def test_anything_else_is_refused_in_one_line(value, message):
 
 def test_what_is_not_copied_says_so():
     class Simulation:
-        __copy__ = __deepcopy__ = not_copied
+        __reduce_ex__ = not_copied
 
-    for copied in (copy.copy, copy.deepcopy):
+    for copied in (copy.copy, copy.deepcopy, pickle.dumps):
         with pytest.raises(TypeError, match="a Simulation cannot be copied: make another"):
             copied(Simulation())
         with pytest.raises(TypeError, match="a Simulation cannot be copied"):

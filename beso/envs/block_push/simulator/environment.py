@@ -66,7 +66,7 @@ class _Client:
     def __init__(self) -> None:
         self.identifier = pybullet.connect(pybullet.DIRECT)
 
-    __copy__ = __deepcopy__ = not_copied
+    __reduce_ex__ = not_copied
 
     def __getattr__(self, name: str) -> Any:
         function = functools.partial(getattr(pybullet, name), physicsClientId=self.identifier)
@@ -89,7 +89,7 @@ class BlockPushEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # noqa: RUF012 (as gymnasium has it)
-    __copy__ = __deepcopy__ = not_copied
+    __reduce_ex__ = not_copied
 
     def __init__(
         self, render_mode: str | None = None, tolerance: float = 0.05, render_size: tuple[int, int] = (240, 320)

@@ -14,7 +14,7 @@ class Client:
     def __init__(self) -> None:
         self.identifier = pybullet.connect(pybullet.DIRECT)
 
-    __copy__ = __deepcopy__ = not_copied
+    __reduce_ex__ = not_copied
 
     def __getattr__(self, name: str) -> Any:
         attribute = getattr(pybullet, name)

@@ -43,7 +43,7 @@ class CalvinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # noqa: RUF012 (as gymnasium has it)
-    __copy__ = __deepcopy__ = not_copied
+    __reduce_ex__ = not_copied
 
     def __init__(
         self, render_mode: str | None = None, size: int = 112, render_size: int = 240, assets: Path | None = None

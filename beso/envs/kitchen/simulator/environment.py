@@ -50,7 +50,7 @@ class KitchenEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 12}  # noqa: RUF012 (as gymnasium has it)
-    __copy__ = __deepcopy__ = not_copied
+    __reduce_ex__ = not_copied
 
     def __init__(
         self, render_mode: str | None = None, render_size: tuple[int, int] = (240, 320), noise: float = 1.0

@@ -1,4 +1,5 @@
 import copy
+import pickle
 
 import gymnasium
 import numpy as np
@@ -109,7 +110,7 @@ def test_a_start_that_is_no_state_is_refused(env, name, value):
         env.reset(seed=0, options={name: value})
 
 
-@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickle.dumps])
 def test_an_environment_is_not_copied(env, copied):
     with pytest.raises(TypeError, match="a CalvinEnv cannot be copied: make another"):
         copied(env)

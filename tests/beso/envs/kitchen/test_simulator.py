@@ -1,4 +1,5 @@
 import copy
+import pickle
 
 import gymnasium
 import numpy as np
@@ -242,7 +243,7 @@ def test_a_goal_that_is_not_states_is_refused(env, goal):
         env.reset(seed=0, options={"goal": goal})
 
 
-@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickle.dumps])
 def test_an_environment_is_not_copied(env, copied):
     with pytest.raises(TypeError, match="a KitchenEnv cannot be copied: make another"):
         copied(env)
