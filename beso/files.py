@@ -49,6 +49,14 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(value, indent=2, sort_keys=True) + "\n")
 
 
+def from_home(path: str | Path) -> Path:
+    """A path in which `~` stands for a home. Raises UserError if there is no such user."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        raise UserError(f"{path}: there is no such user's home") from None
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON mapping.
 

@@ -30,7 +30,7 @@ from beso.core.noise import EpisodeNoise, Noise
 from beso.core.seeding import generator
 from beso.data.scaling import CLIP
 from beso.errors import UserError
-from beso.files import read_json
+from beso.files import from_home, read_json
 from beso.interface import PolicySpec
 from beso.sampling.weights import Weights, choose
 
@@ -142,7 +142,7 @@ class Policy:
         Raises:
             UserError: files are missing or damaged, `sampling` is not one for this method, or as weights.choose.
         """
-        folder, chosen = Path(folder).expanduser(), pick_device(device)
+        folder, chosen = from_home(folder), pick_device(device)
         config = checkpoint.config(folder, seed)
         kind = methods.sampling(checkpoint.load_description(folder, seed)["job"]["method"])
         path = _evaluation(folder)

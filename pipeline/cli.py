@@ -15,6 +15,7 @@ except ImportError:
     raise SystemExit("error: the command needs the pipeline's packages: pip install '.[pipeline]'") from None
 
 from beso.errors import UserError
+from beso.files import from_home
 from pipeline.stage import guard
 
 MARK = "dvc.yaml"  # of the repository's root
@@ -57,7 +58,7 @@ class At(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Called by click for what was given, and for the default."""
-        path = Path(value).expanduser()
+        path = from_home(value)
         if isinstance(value, Path) or path.is_absolute():
             return path
         return Path(os.path.relpath(path, find_root() or "."))
@@ -68,7 +69,7 @@ class Run(At):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Called by click for what was given."""
-        return str(super().convert(value, param, ctx)) if Path(value).expanduser().exists() else value
+        return str(super().convert(value, param, ctx)) if from_home(value).exists() else value
 
 
 def path(name: str, default: str | None, text: str) -> Callable[[Any], Any]:

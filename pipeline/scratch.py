@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 import beso
+from beso.files import from_home
 from pipeline import paths
 
 
@@ -22,7 +23,7 @@ def folder(*parts: Any) -> Path:
 
     The environment variable BESO_SCRATCH names another place than `.scratch`.
     """
-    return Path(os.environ.get("BESO_SCRATCH", paths.SCRATCH)).expanduser().absolute() / fingerprint(*parts)
+    return from_home(os.environ.get("BESO_SCRATCH", paths.SCRATCH)).absolute() / fingerprint(*parts)
 
 
 def fingerprint(*parts: Any, torch_version: str = torch.__version__) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 from beso import envs
 from beso.data import play
+from beso.files import from_home
 from pipeline import paths, recipes, scratch
 from pipeline.film import FRAMES_PER_SECOND, write_film, write_video
 from pipeline.machine import Machine, available_workers
@@ -36,7 +37,7 @@ def collect_play(recipe: EnvironmentRecipe, machine: Machine) -> None:
     """Write a play dataset."""
     settings, spec = recipe.settings, envs.spec(recipe.env)
     if settings.source == "published":
-        dataset = envs.importer(recipe.env)(Path(settings.folder or "").expanduser())
+        dataset = envs.importer(recipe.env)(from_home(settings.folder or ""))
     else:
         jobs = [(recipe.seed, i) for i in range(settings.demonstrations)]
         episodes = list(map_jobs(envs.recorder(recipe.env), jobs, machine, f"collect {recipe.env}"))
@@ -56,7 +57,7 @@ def collect_raw(recipe: EnvironmentRecipe, machine: Machine) -> None:
     size, length, target = settings.camera.size, settings.camera.length, paths.raw(recipe.env)
     if settings.source == "published":
         workers = machine.workers or available_workers()
-        room.convert(Path(settings.folder or "").expanduser(), target, size, workers)
+        room.convert(from_home(settings.folder or ""), target, size, workers)
         return
     waiting = scratch.folder("collect", recipe.env, dataclasses.asdict(settings), recipe.seed)
     parts: list[Path] = []

@@ -17,7 +17,7 @@ from beso.data.play import PlayDataset
 from beso.encoders import encoder
 from beso.encoders.encoder import Encoding
 from beso.encoders.resnet import FEATURES, ResNet18
-from beso.files import replacing, sha256, write_text
+from beso.files import from_home, replacing, sha256, write_text
 from beso.images import frames, probe
 from beso.images.frames import PackedPlay
 from beso.images.pretraining import pretrain
@@ -84,7 +84,7 @@ def make_encoder(settings: Features, folder: Path, seed: int, machine: Machine, 
     if settings.weights is not None:
         given = settings.weights
         encoding = Encoding(settings.width, size, given.mean, given.std, precision)
-        network = encoder.network(settings.width, read_weights(Path(given.path).expanduser(), given.sha256), given.path)
+        network = encoder.network(settings.width, read_weights(from_home(given.path), given.sha256), given.path)
         provenance: dict[str, Any] = {"weights": given.sha256}
     else:
         mean, std = packed.meta["mean"], packed.meta["std"]

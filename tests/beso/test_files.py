@@ -1,11 +1,12 @@
 import hashlib
 import json
 import os
+from pathlib import Path
 
 import pytest
 
 from beso.errors import UserError
-from beso.files import read_json, replacing, sha256, write_json, write_text
+from beso.files import from_home, read_json, replacing, sha256, write_json, write_text
 
 
 def contents(folder):
@@ -107,3 +108,9 @@ def test_sha256_is_that_of_the_bytes(tmp_path):
     data = bytes(range(256)) * 5000  # more than one block
     (tmp_path / "x").write_bytes(data)
     assert sha256(tmp_path / "x") == hashlib.sha256(data).hexdigest()
+
+
+def test_a_home_that_is_not_there_is_one_line():
+    assert from_home("~/x") == Path.home() / "x"
+    with pytest.raises(UserError, match=r"^~nobody-of-this-name/x: there is no such user's home$"):
+        from_home("~nobody-of-this-name/x")

@@ -11,6 +11,7 @@ from beso.data.store import write_npy
 from beso.envs.calvin.simulator.observations import block_slice
 from beso.envs.calvin.simulator.play_table import PlayTable
 from beso.errors import UserError
+from beso.files import read_json, write_json
 from beso.images import frames
 
 ENDS = np.array([100, 160, 300])
@@ -155,6 +156,11 @@ def test_missing_truncated_and_altered_files(raw, tmp_path):
     with pytest.raises(UserError, match=r"frames.npy is not the file that meta.json describes"):
         frames.load(folder)
     path.write_bytes(whole)
+    meta = read_json(folder / "meta.json")
+    write_json(folder / "meta.json", {key: value for key, value in meta.items() if key != "held_out_episodes"})
+    with pytest.raises(UserError, match=r"meta.json is damaged: it has no 'held_out_episodes'"):
+        frames.load(folder)
+    write_json(folder / "meta.json", meta)
     write_npy(folder / "tasks.npy", np.zeros((299, 34), dtype=np.uint8))
     with pytest.raises(UserError, match=r"tasks holds uint8 \(299, 34\), expected uint8 \(300, 34\)"):
         frames.load(folder, verify=False)
