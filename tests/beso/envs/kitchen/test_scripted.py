@@ -56,8 +56,9 @@ def test_a_mistake_is_made_good(env):
 
 
 def test_the_filmed_demonstration_has_a_failed_attempt_made_good(env):
-    index = scripted.filmed(0)
-    player, _ = scripted.play(env, 0, index)
+    index, take = scripted.filmed(0)
+    player, taken = scripted.play(env, 0, index)
+    assert taken == take
     assert player.completed == task_set(0, index)
     assert [task for task, _ in player.modes[:2]] == [spec.MICROWAVE] * 2
     assert player.made_good[0] == spec.MICROWAVE
