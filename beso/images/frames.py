@@ -208,7 +208,7 @@ def load(folder: Path, verify: bool = True) -> PackedPlay:
     missing = "holds no packed frames: it has no meta.json; run `dvc repro preprocess` first"
     arrays, meta = store.read(folder, ARRAYS, missing, verify)
     store.check(arrays, {"frames": FRAMES, **COLUMNS}, str(folder))
-    absent = [key for key in ("size", "mean", "std", "raw", "held_out_episodes") if key not in meta]
+    absent = [key for key in ("size", "mean", "std", "held_out_episodes") if key not in meta]
     if absent:
         raise UserError(f"{folder / store.META} is damaged: it has no {absent[0]!r}")
     del arrays["frames"]
