@@ -43,7 +43,7 @@ def place(tmp_path, monkeypatch):
     text = profile.render("smoke")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("BESO_SCRATCH", raising=False)
-    Path("params.yaml").write_text(text)
+    Path("params.yaml").write_text(text, encoding="utf-8")
     spec = envs.spec("block_push")
     play.save(random_play(spec), paths.play("block_push"))
     return tmp_path
@@ -168,12 +168,12 @@ def test_the_speed_of_training_is_a_table(place, capsys):
 
 def test_other_parameters_data_and_code_are_told(place, monkeypatch, capsys):
     run()
-    text = Path("params.yaml").read_text()
-    Path("params.yaml").write_text(text.replace("train_fraction: 0.", "train_fraction: 0.1"))
+    text = Path("params.yaml").read_text(encoding="utf-8")
+    Path("params.yaml").write_text(text.replace("train_fraction: 0.", "train_fraction: 0.1"), encoding="utf-8")
     import_cells(Path("trained"))
     assert "of other parameters\nblock_push-c_beso: dvc repro would train seeds 1, 2 here" in capsys.readouterr().out
 
-    Path("params.yaml").write_text(text)
+    Path("params.yaml").write_text(text, encoding="utf-8")
     (folder,) = Path("trained/block_push/c_beso").glob("seed1-*")
     folder.rename(folder.with_name("seed1-0123456789abcdef"))
     import_cells(Path("trained"))
