@@ -13,9 +13,10 @@ from pipeline.report.rows import read
 EVALUATION = EvaluationConfig(seed=0, rollouts=3, goals=("training", "held_out"), chunk=2, max_actions=None)
 CHANGES = ({"sampler": "ddim", "steps": None}, {"sampler": "heun", "steps": 3})
 PATH = Path("rows.csv")
+EVALUATED = ({},)  # an evaluation changes nothing
 
 
-def rows(changes=({},)):
+def rows(changes=EVALUATED):
     scores = {"tasks": "2", "reward": 0.5, "result": 1, "length": 9}
     return pd.DataFrame(
         [
@@ -33,7 +34,7 @@ def told(tmp_path, monkeypatch):
     """told(text, changes) -> the rows that are read, or the line that says what is wrong."""
     monkeypatch.chdir(tmp_path)
 
-    def told(text, changes=({},)):
+    def told(text, changes=EVALUATED):
         PATH.write_bytes(text if isinstance(text, bytes) else text.encode())
         try:
             return read(PATH, "evaluate@block_push-gcbc", "block_push", (1, 2), EVALUATION, changes)
