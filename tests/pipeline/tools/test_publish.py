@@ -35,6 +35,7 @@ COMMITTED_WEIGHTS = [
 ARCHIVE = "reports/published/smoke"
 WEIGHTS = [f"models/{environment}/c_beso/seed1.safetensors" for environment in ("block_push", "calvin", "kitchen")]
 ENCODER = "data/play/calvin/encoder.safetensors"
+FEATURES = "data/play/calvin/observations.safetensors"
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +100,7 @@ def test_the_archive_of_a_whole_run_has_the_tables_of_the_run(archived):
 def test_archives_keep_the_weights_that_were_asked_for_and_git_takes_them(archived):
     archive = archived.folder / ARCHIVE
     kept = sorted(path.relative_to(archive).as_posix() for path in archive.rglob("*.safetensors"))
-    assert kept == sorted([*WEIGHTS, ENCODER])
+    assert kept == sorted([*WEIGHTS, ENCODER, FEATURES])
     assert (archive / "models/kitchen/gcbc/seed1.json").is_file(), "descriptions of all models"
     archived.run("git", "add", ARCHIVE)
     listed = archived.run("git", "ls-files", ARCHIVE).stdout.split()
