@@ -109,15 +109,8 @@ def _merged(name: str, extending: tuple[str, ...]) -> tuple[dict[str, Any], dict
 
 @functools.cache
 def _complete() -> dict[str, Any]:
-    """The values of profile paper."""
-    return _merged(COMPLETE, ())[0]
-
-
-def _get(values: Any, key: Key) -> Any:
-    """The value of a key; None where there is none."""
-    for name in key:
-        values = values.get(name) if isinstance(values, dict) else None
-    return values
+    """The values of profile paper, by dotted keys."""
+    return dict(leaves(_merged(COMPLETE, ())[0]))
 
 
 def _join(values: dict[str, Any], part: dict[str, Any], where: str) -> None:
@@ -147,7 +140,7 @@ def _change(
             if inner.get(name, value) != value and key != ("profile",):
                 above, note = notes.get(key, Comment("", ""))
                 if " in profile " not in note:
-                    whose = COMPLETE if _get(_complete(), key) == inner[name] else base
+                    whose = COMPLETE if _complete().get(".".join(key)) == inner[name] else base
                     note = f"{_text(inner[name])} in profile {whose}" + (f"; {note}" if note else "")
                 notes[key] = Comment(above, note)
             inner[name] = value

@@ -66,9 +66,8 @@ def demo(cells: Sequence[str], run: Path, episodes: int, folder: Path, picture: 
     planned = []
     for name in cells or kept:
         job = evaluation_jobs(params.cells[name].evaluate, machine, run)[0]
-        trials.pick(
-            trials.load(job.trials), job.config.goals[0], job.seed, range(episodes)
-        )  # told before any is played
+        # What was not made is told before any episode is played.
+        trials.pick(trials.load(job.trials), job.config.goals[0], job.seed, range(episodes))
         planned.append((job, episodes, folder / f"{name}.webm"))
     print(f"policies of {run} play {episodes} episodes each ...", flush=True)
     films = []

@@ -76,7 +76,10 @@ def import_cells(folder: Path) -> None:
 def _take_encoder(folder: Path, env: str, params: Params) -> None:
     """Put an archive's encoder where the stage `features` looks for one, unless the features here are of it."""
     theirs, here = (place / paths.play(env) / encoder.DESCRIPTION for place in (folder, Path()))
-    if not theirs.is_file() or (here.is_file() and read_json(here)["sha256"] == read_json(theirs)["sha256"]):
+    if not theirs.is_file():
+        return
+    description = read_json(theirs)
+    if here.is_file() and read_json(here)["sha256"] == description["sha256"]:
         return
     settings, made = params.images[env].features, encoder.load(theirs.parent, torch.device("cpu"))
     try:
@@ -84,7 +87,7 @@ def _take_encoder(folder: Path, env: str, params: Params) -> None:
     except UserError as error:
         print(f"{env}, encoder: {error}; then import again")
         return
-    provenance = read_json(theirs)["provenance"]
+    provenance = description["provenance"]
     asked = {"pretraining": asdict(settings.pretraining), "frames": packed.meta["sha256"]["frames"]}
     if made.encoding.width != settings.width or any(provenance.get(key) != value for key, value in asked.items()):
         print(f"{env}, encoder: of other frames or parameters")

@@ -88,7 +88,7 @@ def add_environment(params: Params, environment: str, folder: Path) -> None:
     made = trials.load(paths.trials(environment))
     trials.save({first: made[first][: settings.evaluation.chunk]}, folder / paths.trials(environment))
     if environment in params.images:
-        write_sample(play.load(paths.play(environment), envs.spec(environment)), target / SAMPLE)
+        write_sample(play.load(paths.play(environment), envs.spec(environment), verify=False), target / SAMPLE)
         _copy([paths.samples(environment), paths.probe(environment)], Path(), folder)
         halve(paths.play(environment) / encoder.WEIGHTS, target / encoder.WEIGHTS)
         description = read_json(paths.play(environment) / encoder.DESCRIPTION)
