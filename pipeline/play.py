@@ -1,6 +1,7 @@
 """Episodes over worker processes: what evaluations and studies share."""
 
 from collections.abc import Sequence
+from math import gcd
 from pathlib import Path
 from typing import Any
 
@@ -40,14 +41,14 @@ def play_all(
 ) -> tuple[list[Row], list[np.ndarray]]:
     """The rows of all episodes of some jobs, in order; and some scenes (3, ...) of the first job.
 
-    A worker plays every n-th chunk of a job, so that it loads policy and environments once; n is chosen so that all
-    workers have work.
+    A worker plays every n-th chunk of a job, so that it loads policy and environments once; n is the least for
+    which all workers have as many such shares.
 
     Args:
         labels: columns in front of each job's rows.
         scenes: how many, of the first episodes with the first goal set.
     """
-    shares = -(-workers(machine) // len(jobs))
+    shares = workers(machine) // gcd(workers(machine), len(jobs))
     parts = []
     for i, job in enumerate(jobs):
         planned = chunks(job.config)

@@ -8,7 +8,7 @@ in several sittings. Then tables, comparison, metrics and figures are made from 
 
 The folder is laid out as the repository, the report's files at its top. Beside the rows of each cell and study lies a
 record, `<name>.json`: its parameters, the digest of the play data, versions. Of play data there is a summary, of trials
-the first ones, and of weights those of the first seed where `--weights METHOD` asks for them, in half precision:
+the first ones, and weights in half precision of methods that `--weights METHOD` names:
 
     beso publish --weights c_beso
 
@@ -70,8 +70,10 @@ def files(part: Part) -> list[Path]:
 
 
 def weights(part: Part) -> list[Path]:
-    """What an archive can keep of a part's weights: those of a cell's first seed."""
-    return [checkpoint.paths(part.cell.models, part.cell.train.seeds[0])[0]] if part.cell and part.is_cell else []
+    """What an archive can keep of a part's weights: those of a cell's seeds."""
+    if part.cell is None or not part.is_cell:
+        return []
+    return [checkpoint.paths(part.cell.models, seed)[0] for seed in part.cell.train.seeds]
 
 
 def shared(environment: str) -> list[Path]:
