@@ -70,6 +70,7 @@ def gather(params: Params, root: Path = Path()) -> dict[str, Any]:
         "significant": tables.significant,
         "comparison": comparison,
         "methods": tables.main_methods(params),
+        "seeds": {env: tables.seeds(params, env) for env in params.envs},
         "rows": tables.main_rows(params, comparison),
         "places": list(places().itertuples()),
         "sheets": tables.sheets(comparison),

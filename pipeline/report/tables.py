@@ -43,6 +43,12 @@ def main_methods(params: Params) -> list[str]:
     return [method for method in params.labels if method in run]
 
 
+def seeds(params: Params, environment: str) -> str:
+    """How many seeds the methods of an environment have: `3 seeds`, or `1 to 3 seeds` where it is not one number."""
+    counts = sorted({len(cell.train.seeds) for cell in params.cells_in(environment)})
+    return " to ".join(map(str, dict.fromkeys((counts[0], counts[-1])))) + (" seed" if counts == [1] else " seeds")
+
+
 def main_rows(params: Params, comparison: pd.DataFrame) -> list[dict[str, Any]]:
     """Rows of the main table: environment, metric, whose numbers, and a cell `mean (+- std)` a method.
 

@@ -1,6 +1,7 @@
 """README.md of a run, made from the rows of a committed archive."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from pipeline.params import PATH, load
 from pipeline.report import readme
 from pipeline.report.comparison import of_cells
 from pipeline.report.gather import gather
+from pipeline.report.tables import seeds
 from pipeline.tools.archive import held, parts, restricted
 
 ROOT = Path(__file__).parents[3]
@@ -63,3 +65,14 @@ def test_committed_pages_link_to_what_is_there(folder):
     links = re.findall(r"\]\(([^)]+)\)", (ROOT / folder / "README.md").read_text())
     assert links
     assert [link for link in links if not (ROOT / folder / link).exists()] == []
+
+
+def test_number_of_seeds_may_differ_between_methods(values, page):
+    params = values["params"]
+    cells = params.cells_in("kitchen")
+    many = replace(cells[0], train=replace(cells[0].train, seeds=(1, 2, 3)))
+    both = replace(params, cells={"a": many, "b": replace(many, train=replace(many.train, seeds=(1,)))})
+    assert seeds(params, "kitchen") == "1 seed"
+    assert "| 1 seed | 100 |" in page
+    assert seeds(replace(params, cells={"a": many}), "kitchen") == "3 seeds"
+    assert seeds(both, "kitchen") == "1 to 3 seeds"
