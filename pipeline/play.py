@@ -41,8 +41,8 @@ def play_all(
 ) -> tuple[list[Row], list[np.ndarray]]:
     """The rows of all episodes of some jobs, in order; and some scenes (3, ...) of the first job.
 
-    A worker plays every n-th chunk of a job, so that it loads policy and environments once; n is the least for
-    which all workers have as many such shares.
+    A worker plays every n-th chunk of a job, so that it loads policy and environments once; n is the least with which
+    the shares of all jobs, if each has n chunks, divide evenly among the workers.
 
     Args:
         labels: columns in front of each job's rows.

@@ -45,8 +45,11 @@ def main_methods(params: Params) -> list[str]:
 
 def seeds(params: Params, environment: str) -> str:
     """How many seeds the methods of an environment have: `3 seeds`, or `1 to 3 seeds` where it is not one number."""
-    counts = sorted({len(cell.train.seeds) for cell in params.cells_in(environment)})
-    return " to ".join(map(str, dict.fromkeys((counts[0], counts[-1])))) + (" seed" if counts == [1] else " seeds")
+    counts = [len(cell.train.seeds) for cell in params.cells_in(environment)]
+    least, most = min(counts), max(counts)
+    if least < most:
+        return f"{least} to {most} seeds"
+    return f"{most} seed" + ("s" if most > 1 else "")
 
 
 def main_rows(params: Params, comparison: pd.DataFrame) -> list[dict[str, Any]]:

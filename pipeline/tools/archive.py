@@ -48,9 +48,9 @@ class Part:
         return self.cell.env if self.cell else ""
 
     @property
-    def is_cell(self) -> bool:
-        """Whether it is a cell, not a study of one."""
-        return self.cell is not None and self.stage == f"evaluate@{self.cell.name}"
+    def evaluated(self) -> Cell | None:
+        """The cell whose evaluation it is; None for a study and the fork."""
+        return self.cell if self.cell and self.stage == f"evaluate@{self.cell.name}" else None
 
     @property
     def record(self) -> Path:
@@ -152,7 +152,7 @@ def check(part: Part, folder: Path, wanted: dict[str, Any]) -> None:
 
 def restricted(params: Params, there: list[Part]) -> Params:
     """The parameters of a run that has these parts alone."""
-    cells = {part.cell.name: part.cell for part in there if part.cell and part.is_cell}
+    cells = {cell.name: cell for part in there if (cell := part.evaluated)}
     stages = {part.stage for part in there}
     for part in there:
         if part.cell and part.cell.name not in cells:

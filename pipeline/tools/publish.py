@@ -62,18 +62,17 @@ def choose(available: dict[str, Part], names: Sequence[str]) -> list[Part]:
 
 def files(part: Part) -> list[Path]:
     """What an archive takes of a part of a run, beside a record and weights."""
-    if part.cell is None or not part.is_cell:
+    cell = part.evaluated
+    if cell is None:
         return [part.rows]
-    cell = part.cell
     scenes = [cell.scenes] if cell.evaluate.film and cell.evaluate.evaluation.tasks else []
     return [part.rows, cell.curve, *scenes, *(checkpoint.paths(cell.models, seed)[1] for seed in cell.train.seeds)]
 
 
 def weights(part: Part) -> list[Path]:
     """What an archive can keep of a part's weights: those of a cell's seeds."""
-    if part.cell is None or not part.is_cell:
-        return []
-    return [checkpoint.paths(part.cell.models, seed)[0] for seed in part.cell.train.seeds]
+    cell = part.evaluated
+    return [checkpoint.paths(cell.models, seed)[0] for seed in cell.train.seeds] if cell else []
 
 
 def shared(environment: str) -> list[Path]:
@@ -149,8 +148,8 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
     with replacing(folder) as temporary:
         for part in there:
             kept = [path for path in weights(part) if (folder / path).is_file()]
-            if part.cell and part.is_cell:
-                write_evaluation(part.cell, temporary / part.cell.models)
+            if cell := part.evaluated:
+                write_evaluation(cell, temporary / cell.models)
             if part not in new:
                 _copy([*files(part), part.record, *kept], folder, temporary)
                 continue
@@ -205,7 +204,7 @@ def publish(names: Sequence[str], weights_of: Sequence[str], dropped: Sequence[s
     stay = [part for part in before if not {part.stage, part.env} & {*dropped}]
     new = [] if dropped else choose(available, names)
     there = [part for part in available.values() if part in new or part in stay]
-    if not any(part.is_cell for part in there):
+    if not any(part.evaluated for part in there):
         raise UserError(f"no cell of profile {params.profile} is finished or archived: run `beso run`")
     write(folder, params, there, new, weights_of)
     print(f"{folder}: {len(new)} cells and studies archived, {len(there) - len(new)} stay as they were")
