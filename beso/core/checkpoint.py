@@ -37,12 +37,14 @@ class TrainedModel:
         scaling: between raw and its own units.
         curve: one row a measurement.
         encoding: how its own encoder, which was trained with it, takes frames; None if it has none.
+        precision: of its training, "fp32" or "bf16"; None is what the job says.
     """
 
     weights: dict[str, Tensor]
     scaling: Scaling
     curve: list[dict[str, float]]
     encoding: Encoding | None = None
+    precision: str | None = None
 
 
 def as_they_are(observations: np.ndarray) -> np.ndarray:
@@ -96,6 +98,7 @@ def save(folder: Path, job: TrainingJob, sizes: Sizes, trained: TrainedModel, da
             "scaling": trained.scaling.as_dict(),
             "torch": torch.__version__,
             "curve": trained.curve,
+            **({"precision": trained.precision} if job.config.optimization.precision == "auto" else {}),
             **({} if trained.encoding is None else {"encoder": dataclasses.asdict(trained.encoding)}),
         },
     )

@@ -23,7 +23,7 @@ class OptimizationConfig:
         schedule: "constant", "cosine" (to 0 at the last step) or "step" (times 0.99 every 100 steps).
         ema_decay: of the averaged weights, which are the ones saved; 0 saves the last weights. At step n the decay is
             min(ema_decay, (1 + n) / (10 + n)).
-        precision: "fp32", or "bf16" for autocast.
+        precision: "fp32", "bf16" for autocast, or "auto" for what the device is fast at.
     """
 
     steps: int
@@ -33,7 +33,7 @@ class OptimizationConfig:
     weight_decay: float
     schedule: Literal["constant", "cosine", "step"]
     ema_decay: float
-    precision: Literal["fp32", "bf16"]
+    precision: Literal["auto", "fp32", "bf16"]
 
     def __post_init__(self) -> None:
         require_positive(self, "steps", "batch_size")

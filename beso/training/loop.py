@@ -22,6 +22,7 @@ from tqdm import tqdm
 from beso import methods
 from beso.core import checkpoint
 from beso.core.checkpoint import TrainedModel
+from beso.core.device import pick_precision
 from beso.core.seeding import integer_seed, torch_generator
 from beso.core.training_config import TrainingJob
 from beso.data.play import PlayDataset
@@ -60,6 +61,7 @@ class Training:
         # Data
         self.job, self.device, self._state_path = job, device, state_path
         optimization, model = job.config.optimization, job.config.model
+        self._precision = pick_precision(optimization.precision, device)
         training_episodes, held_out_episodes = job.split(len(dataset))
         self.scaling = Scaling.fit(dataset, training_episodes, spec)
         config = WindowConfig(
@@ -141,7 +143,7 @@ class Training:
         optimization = self.job.config.optimization
         self.method.zero_grad()
         batch = self.windows.sample(optimization.batch_size, self.draws)
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=optimization.precision == "bf16"):
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self._precision == "bf16"):
             loss = self.method.loss(batch, self.draws)
         loss.backward()
         return loss.detach()
@@ -197,7 +199,7 @@ class Training:
         for key, value in weights.items():
             if not value.isfinite().all():
                 raise UserError(f"{self.name}: {key} has weights that are not finite; lower learning_rate")
-        return TrainedModel(weights, self.scaling, self.curve, self.encoding)
+        return TrainedModel(weights, self.scaling, self.curve, self.encoding, self._precision)
 
 
 def side_by_side(

@@ -12,6 +12,7 @@ import torch
 import beso
 from beso import methods
 from beso.config import build
+from beso.core import checkpoint
 from beso.core.seeding import torch_generator
 from beso.core.training_config import OptimizationConfig, ValidationConfig
 from beso.data.scaling import Scaling
@@ -222,6 +223,16 @@ def test_bfloat16_autocast_trains(run, make_job, name):
     assert all(value.dtype == torch.float32 and value.isfinite().all() for value in trained.weights.values())
 
 
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+def test_auto_trains_in_the_precision_that_the_device_is_fast_at(run, make_job, spec, tmp_path, monkeypatch, precision):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"amx_bf16": precision == "bf16"})
+    job = make_job("c_beso", precision="auto")
+    trained = run(job)
+    assert weights_bytes(trained) == weights_bytes(run(make_job("c_beso", precision=precision)))
+    checkpoint.save(tmp_path, job, spec.sizes, trained, "digest")
+    assert checkpoint.load_description(tmp_path, job.seed)["precision"] == precision
+
+
 def test_a_film_model_can_save_its_state(run, make_job, small_models):
     transformer = {**small_models["c_beso"][0]["transformer"], "conditioning": "film"}
     run(make_job("c_beso", model={"transformer": transformer}), save_seconds=0)
@@ -311,6 +322,7 @@ import sys
 from beso import methods
 from beso.training import loop as training
 from beso.config import build
+from beso.core import checkpoint
 methods.load("c_beso"), methods.load("cfg_beso"), methods.load("cx_diff")
 print([name for name in sys.modules if name.startswith("beso.sampling")])
 """

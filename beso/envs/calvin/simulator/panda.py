@@ -1,8 +1,8 @@
 """The Panda arm of pybullet_data, changed into CALVIN's: longer finger tips and a tool centre point.
 
-The detailed meshes that one usually sees are replaced by those for collisions, except at the base and the fingers:
-the detailed ones alone would take 18 ms of each picture, at any resolution. The camera's link carries no camera; it
-is there so that links have the numbers that they have in CALVIN (arm 0-6, fingers 9 and 11, tips 10 and 12, tcp 15).
+The detailed meshes that one usually sees are replaced by those for collisions: the detailed ones alone would take
+18 ms of each picture, at any resolution. The camera's link carries no camera; it is there so that links have the
+numbers that they have in CALVIN (arm 0-6, fingers 9 and 11, tips 10 and 12, tcp 15).
 """
 
 import re
@@ -21,7 +21,7 @@ def panda_urdf() -> str:
     """The arm's URDF, with absolute paths to the meshes of pybullet_data; lengths are not scaled."""
     folder = Path(pybullet_data.getDataPath()) / "franka_panda"
     text = (folder / "panda.urdf").read_text()
-    text = re.sub(r"package://meshes/visual/(link[1-6]|hand)\.obj", r"package://meshes/collision/\1.obj", text)
+    text = re.sub(r"package://meshes/visual/(link[1-6]|hand|finger)\.obj", r"package://meshes/collision/\1.obj", text)
     text = text.replace("package://meshes/", f"{folder.as_posix()}/meshes/")
     tips = _tip("left", 1) + _tip("right", -1)
     camera = _attached("camera_joint", "gripper_cam", (-0.1, 0, 0), (1.3, 0, -1.57), 0.2)

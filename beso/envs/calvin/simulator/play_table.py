@@ -67,6 +67,8 @@ class PlayTable:
         self._blocks = [client.loadURDF(str(path), globalScaling=SCALE) for path in assets.blocks]
         self.fixtures = Fixtures(client, str(assets.table))
         self._floor = client.loadURDF(f"{pybullet_data.getDataPath()}/plane.urdf")
+        if self._official is None:
+            client.changeVisualShape(self._floor, -1, rgbaColor=(1, 1, 1, 0))  # not drawn: `camera.picture` fills it in
         self.arm = Arm(client, str(assets.panda))
         self._names = {
             self.arm.body: ROBOT,
