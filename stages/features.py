@@ -65,8 +65,9 @@ def make_features(recipe: EnvironmentRecipe, machine: Machine) -> None:
 
 def waiting_place(recipe: EnvironmentRecipe, packed: PackedPlay, machine: Machine) -> Path:
     """Where the encoder of these frames waits until its features are made."""
-    device = pick_device(machine.device).type
-    return scratch.folder("features", dataclasses.asdict(recipe.settings), recipe.seed, packed.meta["sha256"], device)
+    settings, device = dataclasses.asdict(recipe.settings), pick_device(machine.device)
+    settings |= {"precision": pick_precision(recipe.settings.precision, device)}
+    return scratch.folder("features", settings, recipe.seed, packed.meta["sha256"], device.type)
 
 
 def _meta(packed: PackedPlay) -> dict[str, Any]:

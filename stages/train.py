@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from beso import envs
 from beso.core import checkpoint
-from beso.core.device import pick_device
+from beso.core.device import Precision, pick_device, pick_precision
 from beso.core.training_config import TrainingJob
 from beso.data import play
 from beso.errors import UserError
@@ -23,6 +23,7 @@ from pipeline.recipes import TrainRecipe
 
 if TYPE_CHECKING:
     import pandas as pd
+    import torch
 
 STATE = "state.safetensors"
 
@@ -38,7 +39,7 @@ def train_cell(recipe: TrainRecipe, machine: Machine) -> None:
     """
     jobs = recipe.jobs
     digest = play.data_digest(play.load(recipe.play, envs.spec(recipe.env)))
-    folders = [scratch.folder(*identity(recipe, job, digest, pick_device(machine.device).type)) for job in jobs]
+    folders = [scratch.folder(*identity(recipe, job, digest, pick_device(machine.device))) for job in jobs]
     groups = [slice(i, i + machine.seeds_together) for i in range(0, len(jobs), machine.seeds_together)]
     arguments = [(recipe, jobs[group], machine, folders[group]) for group in groups]
     for _ in map_jobs(train_seeds, arguments, machine, f"train {recipe.env} {recipe.method}"):
@@ -54,13 +55,20 @@ def train_cell(recipe: TrainRecipe, machine: Machine) -> None:
         shutil.rmtree(finished)
 
 
-def identity(recipe: TrainRecipe, job: TrainingJob, data_digest: str, device: str) -> list[Any]:
+def identity(
+    recipe: TrainRecipe, job: TrainingJob, data_digest: str, device: torch.device, auto: Precision | None = None
+) -> list[Any]:
     """What a trained model of one cell depends on besides code and torch (see pipeline.scratch).
+
+    Args:
+        auto: what precision "auto" means on the device; None asks it.
 
     Raises:
         UserError: its teacher is missing, or of other play data.
     """
-    parts = ["train", recipe.env, dataclasses.asdict(job), data_digest, device]
+    parts = ["train", recipe.env, dataclasses.asdict(job), data_digest, device.type]
+    if job.config.optimization.precision == "auto":
+        parts.append(auto or pick_precision("auto", device))
     if recipe.teacher is None:
         return parts
     if checkpoint.load_description(recipe.source, job.seed)["data"] != data_digest:

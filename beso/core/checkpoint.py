@@ -16,6 +16,7 @@ from torch.overrides import TorchFunctionMode
 
 from beso import methods
 from beso.config import build
+from beso.core.device import Precision
 from beso.core.training_config import TrainingJob
 from beso.data.scaling import Scaling
 from beso.data.spec import Sizes
@@ -44,7 +45,7 @@ class TrainedModel:
     scaling: Scaling
     curve: list[dict[str, float]]
     encoding: Encoding | None = None
-    precision: str | None = None
+    precision: Precision | None = None
 
 
 def as_they_are(observations: np.ndarray) -> np.ndarray:

@@ -7,6 +7,8 @@ import torch
 
 from beso.errors import UserError
 
+Precision = Literal["fp32", "bf16"]
+
 
 def pick_device(name: str) -> torch.device:
     """The device of that name; "auto" means the first GPU if there is one.
@@ -29,7 +31,7 @@ def pick_device(name: str) -> torch.device:
     return device
 
 
-def pick_precision(name: Literal["auto", "fp32", "bf16"], device: torch.device) -> Literal["fp32", "bf16"]:
+def pick_precision(name: Literal["auto", "fp32", "bf16"], device: torch.device) -> Precision:
     """The precision of that name; "auto" means bf16 where the device multiplies it, elsewhere fp32, faster there."""
     if name != "auto":
         return name

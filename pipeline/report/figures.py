@@ -28,7 +28,7 @@ from pipeline.report.names import words
 
 BLUE, ORANGE, GREEN, _, _, LIGHT_BLUE = METHOD_COLOURS[:6]
 COLOURS = {"ours": BLUE, "held_out": LIGHT_BLUE, "paper": ORANGE}
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")  # of methods, so that colour is not all
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "h")  # of methods, so that colour is not all
 STYLE = {"font.size": 8, "axes.spines.top": False, "axes.spines.right": False, "pdf.fonttype": 42, "savefig.dpi": 200}
 
 
@@ -116,7 +116,10 @@ def overview(params: Params, comparison: pd.DataFrame) -> Figure:
     ]
     count = max(1, len(shown))
     figure, grid = panels(count, 0.7, min(4, 8 / min(count, PANELS_A_LINE)))  # squares: fewer are larger
-    styles = dict(zip(params.labels, zip(MARKERS, reversed(METHOD_COLOURS), strict=True), strict=False))
+    known = set(comparison.loc[comparison["paper"].notna(), "method"])
+    looks = itertools.cycle(zip(MARKERS, (*reversed(METHOD_COLOURS), "0.4"), strict=True))
+    styles = {method: next(looks) for method in params.labels if method in known}
+    drawn = [method for method in styles if method in set(both["method"])]
     top = 1.08 + max([0.0, *(part["ours_high"].max() / metric.maximum - 1 for _, metric, part in shown)])
     for axis, (environment, metric, part) in zip(grid, shown, strict=False):
         axis.plot([0, 1], [0, 1], color="0.7", linewidth=1, zorder=0)
@@ -131,7 +134,6 @@ def overview(params: Params, comparison: pd.DataFrame) -> Figure:
                 axis.errorbar(x, y, **bars, marker=marker, color=colour, markeredgecolor="black", **style)
         axis.set(xlim=(-0.08, top), ylim=(-0.08, top), aspect="equal", xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
         axis.set_title(f"{envs.report(environment).LABEL},\n{metric.label}")
-    drawn = [method for method in styles if method in set(both["method"])]
     look: dict[str, Any] = {"linestyle": "none", "markersize": 5, "markeredgewidth": 0.4, "markeredgecolor": "black"}
     keys = [Line2D([], [], marker=styles[method][0], color=styles[method][1], **look) for method in drawn]
     figure.legend(keys, [params.labels[method] for method in drawn], loc="outside lower center", ncols=8, frameon=False)

@@ -13,13 +13,13 @@ those that they were trained on by no more than `TOLERANCE` (pipeline.tools.arch
 import shutil
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 
 from beso import envs
 from beso.core import checkpoint
-from beso.core.device import pick_device
+from beso.core.device import Precision, pick_device
 from beso.data import play
 from beso.encoders import encoder
 from beso.errors import UserError
@@ -34,13 +34,13 @@ from pipeline.tools.train import cell_folder, find_finished
 from stages.features import waiting_place
 from stages.train import identity
 
-DEVICES = ("cpu", "cuda")  # of trainings elsewhere
+ELSEWHERE = [(torch.device(name), auto) for name in ("cpu", "cuda") for auto in get_args(Precision)]  # trainings
 
 
 def import_cells(folder: Path) -> None:
     """Take what the folder has of params.yaml's cells, and say which seeds. Raises UserError if it has nothing."""
     params = load()
-    device = pick_device(Machine.load().device).type
+    device = pick_device(Machine.load().device)
     if not folder.is_dir():
         raise UserError(f"{folder} is missing: expected the folder that `beso train` wrote, a run or an archive")
     there = {name: cell_folder(folder, cell) for name, cell in params.cells.items()}
@@ -63,7 +63,7 @@ def import_cells(folder: Path) -> None:
         found = {job.seed: find_finished(trained, job, theirs) for job in jobs}
         for job, target in zip(jobs, targets, strict=True):
             if source := found[job.seed]:
-                _compare_code(source, [identity(cell.train, job, theirs, d) for d in DEVICES])
+                _compare_code(source, [identity(cell.train, job, theirs, *arithmetic) for arithmetic in ELSEWHERE])
                 with replacing(target) as temporary:
                     temporary.mkdir()
                     weights, description = checkpoint.paths(source, job.seed)

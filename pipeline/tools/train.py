@@ -77,7 +77,7 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
         UserError: the play data are missing, or a package that this method alone needs.
     """
     recipe, machine = params.cells[cell].train, Machine.load()
-    digest, device = play.data_digest(play.load(recipe.play, envs.spec(recipe.env))), pick_device(machine.device).type
+    digest, device = play.data_digest(play.load(recipe.play, envs.spec(recipe.env))), pick_device(machine.device)
     if recipe.teacher is not None:
         teacher = params.cell(recipe.env, recipe.teacher)
         for job in jobs:

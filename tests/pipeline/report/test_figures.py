@@ -33,6 +33,15 @@ def test_the_overview_of_a_run_beside_which_the_paper_has_nothing_is_empty():
     assert [axis.get_title() for axis in figure.axes] == [""]
 
 
+def test_the_overview_draws_every_method_that_the_paper_has():
+    methods = ["gcbc", "c_ibc", "lmp", "ril", "c_bet", "cx_diff", "c_beso", "cfg_beso", "c_beso_film"]
+    figure = drawn(*[("block_push", "result", method, None, 0.5, 0.4, 0.6, 0.9, 0.1) for method in methods])
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) == len(methods)
+    looks = {(line.get_marker(), line.get_color()) for line in legend.get_lines()}
+    assert len(looks) == len(methods)
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
 def test_no_text_of_the_overview_is_cut_off_or_under_the_legend(count):
     metrics = [("block_push", "reward"), ("block_push", "result"), ("calvin", "success")]
