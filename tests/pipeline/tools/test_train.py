@@ -13,6 +13,7 @@ import pytest
 from beso import envs
 from beso.data import play
 from beso.errors import UserError
+from beso.files import read_json, write_json
 from pipeline import params, paths, profile
 from pipeline.machine import Machine
 from pipeline.tools import bench_training, publish
@@ -149,6 +150,10 @@ def test_students_learn_from_the_teacher_beside_them(place, capsys):
         path.unlink()
     run(student)
     assert models("models") == teacher, "a missing seed is brought too"
+    description = Path("models/block_push/c_beso/seed1.json")
+    write_json(description, read_json(description) | {"job": {}})
+    with pytest.raises(UserError, match=r"seed1\.json is a checkpoint of another configuration: "):
+        run(student)
     shutil.rmtree("models")
     import_cells(Path("trained"))
     assert f"{student}: models/block_push/c_beso/seed1.json is missing: train" in capsys.readouterr().out
