@@ -302,3 +302,9 @@ class File:
                 name == f"{cell.env}-{cell.method}",
                 f"cells.{name}: its name must be env and method with a hyphen between, {cell.env}-{cell.method}",
             )
+        labels = [method.label for method in self.methods.values()]
+        for name, method in self.methods.items():
+            require(
+                labels.count(method.label) == 1,
+                f"methods.{name}: label = {shown(method.label)}: must be one that no other method has",
+            )

@@ -125,6 +125,7 @@ def cell(env, method, of=None, source=None):
             for label in ("50 %", "a_b", "$x$", "A & B", "#1", r"\input{x}", "a\nb", "", "x" * 41, "a~b", "a^b", "{a}")
         ),
         ((*OPTIMIZATION, "batch_size"), 10**12, r"optimization\.batch_size = 10+: must be at most 1048576"),
+        (("methods", "gcbc", "label"), "C-BESO", r"methods\.gcbc: label = 'C-BESO': must be one that no other"),
         ((*BLOCK_PUSH, "collect", "demonstrations"), 10**18, r"collect\.demonstrations = 10+: must be at most 1000000"),
         (("environments", "calvin", "collect", "camera", "size"), 10**9, r"size = 10+: must be at most 4096"),
         ((*OPTIMIZATION, "optimizer"), "sgd", r"optimizer = 'sgd': expected one of adam, adamw, muon"),
