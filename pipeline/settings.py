@@ -84,6 +84,12 @@ class Weights:
     mean: tuple[float, ...]
     std: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        for name in ("mean", "std"):
+            numbers = getattr(self, name)
+            require(len(numbers) == 3, f"{name} = {list(numbers)}: must be three numbers, of red, green and blue")
+        require(min(self.std) > 0, f"std = {list(self.std)}: must be positive")
+
 
 @dataclass(frozen=True)
 class Features:

@@ -106,6 +106,7 @@ IMAGES = {
         },
     },
 }
+WEIGHTS = {"path": "x", "sha256": "0", "mean": [0.5, 0.5, 0.5], "std": [1, 1, 1]}
 
 
 def cell(env, method, of=None, source=None):
@@ -124,8 +125,8 @@ def cell(env, method, of=None, source=None):
             (("methods", "gcbc", "label"), label, r"methods\.gcbc: label = .*: must have 1 to 40 characters, none of")
             for label in ("50 %", "a_b", "$x$", "A & B", "#1", r"\input{x}", "a\nb", "", "x" * 41, "a~b", "a^b", "{a}")
         ),
-        ((*OPTIMIZATION, "batch_size"), 10**12, r"optimization\.batch_size = 10+: must be at most 1048576"),
         (("methods", "gcbc", "label"), "C-BESO", r"methods\.gcbc: label = 'C-BESO': must be one that no other"),
+        ((*OPTIMIZATION, "batch_size"), 10**12, r"optimization\.batch_size = 10+: must be at most 1048576"),
         ((*BLOCK_PUSH, "collect", "demonstrations"), 10**18, r"collect\.demonstrations = 10+: must be at most 1000000"),
         (("environments", "calvin", "collect", "camera", "size"), 10**9, r"size = 10+: must be at most 4096"),
         ((*OPTIMIZATION, "optimizer"), "sgd", r"optimizer = 'sgd': expected one of adam, adamw, muon"),
@@ -310,6 +311,8 @@ def room(values):
         (("preprocess", "held_out"), 1.0, r"preprocess: held_out = 1\.0: must be between 0 and 1"),
         (("features", "width"), 24, r"features: width = 24: must be one of 64, 32, 16, 8"),
         (("features", "weights"), {"path": "x"}, r"features\.weights\.sha256 is missing"),
+        (("features", "weights"), WEIGHTS | {"mean": [0.5]}, r"weights: mean = \[0\.5\]: must be three numbers"),
+        (("features", "weights"), WEIGHTS | {"std": [1, 0, 1]}, r"weights: std = .*: must be positive"),
         (("features", "pretraining", "horizon"), 0, r"pretraining: horizon = 0: must be at least 1"),
         (
             ("features", "pretraining", "steps"),
