@@ -133,7 +133,9 @@ def _change(
         if value is None and isinstance(inner.get(name), dict):
             del inner[name]
         elif isinstance(value, dict):
-            _change(inner.setdefault(name, {}), value, values, notes, key, base)
+            if not isinstance(inner.get(name), dict):
+                inner[name] = {}
+            _change(inner[name], value, values, notes, key, base)
         else:
             for special in _special(values, key):
                 _remove(values, special)

@@ -441,6 +441,9 @@ def test_profiles_build_on_each_other(tmp_path, monkeypatch):
         "all_environments": 0,
         "environments": 0,
     }
+    file.write_text("profile: mine\nimages: {calvin: {features: {weights: {path: mine.pth}}}}\n")
+    with pytest.raises(UserError, match=r"features\.weights\.sha256 is missing"):  # a mapping in place of null
+        profile.render("mine")
     file.write_text("profile: mine\nextends: mine\n")
     with pytest.raises(UserError, match="profile mine extends itself: mine -> mine"):
         profile.render("mine")
