@@ -432,22 +432,23 @@ def test_profiles_build_on_each_other(tmp_path, monkeypatch):
     monkeypatch.setattr(profile, "FOLDER", tmp_path / "profiles")
     (tmp_path / "profiles/mine").mkdir()
     file = tmp_path / "profiles/mine/common.yaml"
-    file.write_text("profile: mine\nextends: quick\nall_environments: {evaluation: {chunk: 5}}\n")
+    file.write_text("extends: quick\nall_environments: {evaluation: {chunk: 5}}\n")
     mine, quick = (yaml.parse_yaml(profile.render(name), name) for name in ("mine", "quick"))
     assert params.parse(mine, "mine").environments["block_push"].evaluation.chunk == 5
     assert mine["environments"]["block_push"]["evaluation"] == {"rollouts": 20}
+    assert mine["profile"] == "mine"
     assert {**mine, "profile": "quick", "all_environments": 0, "environments": 0} == {
         **quick,
         "all_environments": 0,
         "environments": 0,
     }
-    file.write_text("profile: mine\nimages: {calvin: {features: {weights: {path: mine.pth}}}}\n")
+    file.write_text("images: {calvin: {features: {weights: {path: mine.pth}}}}\n")
     with pytest.raises(UserError, match=r"features\.weights\.sha256 is missing"):  # a mapping in place of null
         profile.render("mine")
-    file.write_text("profile: mine\nextends: mine\n")
+    file.write_text("extends: mine\n")
     with pytest.raises(UserError, match="profile mine extends itself: mine -> mine"):
         profile.render("mine")
-    file.write_text("profile: mine\nextends: other\n")
+    file.write_text("extends: other\n")
     with pytest.raises(UserError, match="profile 'other' is not one of cpu, gpu, mine, paper, quick, smoke"):
         profile.render("mine")
 
