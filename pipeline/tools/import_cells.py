@@ -76,7 +76,7 @@ def import_cells(folder: Path) -> None:
 def _take_encoder(folder: Path, env: str, params: Params) -> None:
     """Put an archive's encoder where the stage `features` looks for one, unless the features here are of it."""
     theirs, here = (place / paths.play(env) / encoder.DESCRIPTION for place in (folder, Path()))
-    if not theirs.is_file():
+    if not (theirs.is_file() and theirs.with_name(encoder.WEIGHTS).is_file()):  # an archive leaves out large weights
         return
     description = read_json(theirs)
     if here.is_file() and read_json(here)["sha256"] == description["sha256"]:

@@ -124,6 +124,7 @@ def test_models_of_an_archive_are_taken_as_trained(place, monkeypatch, capsys):
     shutil.move("models", "archive/models")
     Path("archive/models/block_push/gcbc").mkdir()
     shutil.copy("archive/models/block_push/c_beso/seed1.json", "archive/models/block_push/gcbc")  # no weights
+    write_json(Path("archive/data/play/calvin/encoder.json"), {})  # of an encoder that was too large
     import_cells(Path("archive"))
     said = capsys.readouterr().out
     assert "archive/models/block_push/c_beso: taken; it does not tell which state of beso/ trained it\n" in said
