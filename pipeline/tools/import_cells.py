@@ -70,7 +70,10 @@ def import_cells(folder: Path) -> None:
                     shutil.copyfile(weights, temporary / weights.name)
                     write_json(temporary / description.name, read_json(description) | {"data": digest})
         missing = [str(seed) for seed, source in found.items() if source is None]
-        print(f"{name}: " + (f"dvc repro would train seeds {', '.join(missing)} here" if missing else "all seeds"))
+        told = f"dvc repro would train seeds {', '.join(missing)} here" if missing else "all seeds"
+        if cell.models.is_dir() and not missing:  # where the stage is up to date, `dvc repro` would do nothing
+            told += f"; run `dvc repro --force --single-item train@{name}`"
+        print(f"{name}: {told}")
 
 
 def _take_encoder(folder: Path, env: str, params: Params) -> None:

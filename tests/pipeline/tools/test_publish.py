@@ -262,7 +262,7 @@ def test_policies_that_see_pictures_are_taken_where_features_differ_in_last_bits
     assert told()[0] == encoder  # in half precision it is another one
     make_features(read_environment(Features, "features", "calvin"), Machine.load())
     capsys.readouterr()
-    assert told() == ["calvin-c_beso: all seeds"]
+    assert told() == ["calvin-c_beso: all seeds; run `dvc repro --force --single-item train@calvin-c_beso`"]
     train_cell(cell.train, Machine.load())
     evaluate_cell(cell.evaluate, Machine.load())  # refuses models of other play data
 

@@ -113,6 +113,8 @@ def test_the_stage_takes_what_was_brought_back(place, monkeypatch, capsys):
     monkeypatch.setattr(stage, "Training", None)  # nothing is trained
     train_stage()
     assert models("models") == models("trained")
+    import_cells(Path("trained"))
+    assert capsys.readouterr().out.endswith(f"{CELL}: all seeds; run `dvc repro --force --single-item train@{CELL}`\n")
     assert params.load().cells[CELL].curve.read_text().startswith("step,learning_rate,training_loss,")
 
 
