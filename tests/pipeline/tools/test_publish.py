@@ -23,6 +23,7 @@ from pipeline.recipes import read_environment
 from pipeline.report import figures
 from pipeline.settings import Features
 from pipeline.tools import publish
+from pipeline.tools.archive import held, parts
 from pipeline.tools.import_cells import import_cells
 from stages.evaluate import evaluate_cell
 from stages.features import make_features
@@ -196,6 +197,16 @@ def test_an_archive_that_a_kill_left_under_another_name_is_put_back(tmp_path, ca
     left[0].mkdir()
     publish.recover(tmp_path / "smoke")
     assert sorted(path.name for path in tmp_path.iterdir()) == [".smoke.1.partial", "smoke"], "of the living, nothing"
+
+
+def test_a_cell_that_is_filmed_since_it_was_archived_is_archived_anew(tmp_path):
+    archive = shutil.copytree(next(run for run in COMMITTED if run.name == "cpu"), tmp_path / "cpu")
+    params = load(archive / PATH)
+    cell = params.cells["calvin-c_ibc"]
+    filmed = replace(cell, evaluate=replace(cell.evaluate, film=True))
+    params = replace(params, cells=params.cells | {cell.name: filmed})
+    with pytest.raises(UserError, match=r"c_ibc\.npy is missing: archive it anew, `beso publish evaluate@cal"):
+        publish.write(archive, params, held(archive, parts(params)), [], [])
 
 
 def test_archives_without_records_are_refused(archived, tmp_path, monkeypatch):
