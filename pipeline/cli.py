@@ -86,7 +86,6 @@ def seeds(text: str) -> Callable[[Any], Any]:
 
 
 CELL = click.argument("cell")
-MODELS = path("--models", "models", "Folder of a run's models, or of `beso train`'s.")
 
 
 @click.group(cls=Group, context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]})
@@ -171,7 +170,7 @@ def train(cells: Sequence[str], seeds: Sequence[int], hours: float, out: Path) -
 
 @cli.command()
 @CELL
-@MODELS
+@path("--models", "models", "Folder of a run's models, or of `beso train`'s.")
 @seeds("Trained model")
 @path("--rows", None, "File for the episodes, a row each (CSV).")
 def evaluate(cell: str, models: Path, seeds: Sequence[int], rows: Path | None) -> None:
@@ -186,12 +185,12 @@ def evaluate(cell: str, models: Path, seeds: Sequence[int], rows: Path | None) -
 
 @cli.command()
 @CELL
-@MODELS
+@path("--models", None, "Folder of models, as `beso evaluate` takes it. Default: the run's.")
 @click.option("--seed", type=int, default=1, show_default=True, help="The trained model.")
 @click.option("--episode", type=click.IntRange(min=0), default=0, show_default=True, help="Its number.")
 @path("--run", ".", "A run's folder, like reports/published/cpu. Default: this one.")
 @path("--film", "watch.webm", "File to write.")
-def watch(cell: str, models: Path, seed: int, episode: int, run: Path, film: Path) -> None:
+def watch(cell: str, models: Path | None, seed: int, episode: int, run: Path, film: Path) -> None:
     """Film an episode of the evaluation: same start, goal and noise."""
     from pipeline.tools.evaluate import watch
 

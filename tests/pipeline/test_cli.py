@@ -1,6 +1,7 @@
 """The command `beso` as its user meets it."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -96,6 +97,18 @@ def test_any_subfolder_and_the_home_will_do(tmp_path, monkeypatch):
     assert seen(Path("models")) == Path("models"), "a default is the root's"
     assert seen("HEAD", cli.Run) == "HEAD"
     assert seen("../where", cli.Run) == "some/where"
+
+
+def test_another_run_is_filmed_with_its_own_models(tmp_path):
+    run = "reports/published/cpu"
+    line = beso(ROOT, "watch", "block_push-c_beso", "--run", run, "--models", "trained", code=1)
+    assert line == (
+        f"error: --models trained, --run {run}: give one of them; another run is filmed with its own models\n"
+    )
+    shutil.copyfile(ROOT / "params.yaml", tmp_path / "params.yaml")
+    (tmp_path / "dvc.yaml").touch()
+    line = beso(tmp_path, "watch", "block_push-c_beso", "--run", str(tmp_path), "--models", "trained", code=1)
+    assert line.startswith("error: data/play/block_push is not a play dataset"), "the models are looked for"
 
 
 def test_a_policy_by_hand_acts_as_the_pipelines(finished, tmp_path):
