@@ -88,9 +88,9 @@ class Params:
         return self.cell_named(f"{env}-{method}")
 
     def cell_named(self, name: str) -> Cell:
-        """One cell, by its key. Raises UserError if params.yaml does not have it."""
+        """One cell, by its key. Raises UserError if there is none."""
         if name not in self.cells:
-            raise UserError(f"{PATH} has no cell {name}: {', '.join(self.cells)} are there")
+            raise UserError(f"profile {self.profile} has no cell {name}: {', '.join(self.cells)} are there")
         return self.cells[name]
 
 

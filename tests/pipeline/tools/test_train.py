@@ -100,7 +100,7 @@ def test_what_time_cuts_off_continues_to_the_stages_bytes(place, capsys):
 
 
 def test_unknown_cells_and_seeds_are_refused(place):
-    with pytest.raises(UserError, match=r"has no cell x: block_push-gcbc"):
+    with pytest.raises(UserError, match=r"profile smoke has no cell x: block_push-gcbc"):
         run("x")
     with pytest.raises(UserError, match=r"block_push-c_beso has no seed 99 in params.yaml"):
         run(seeds=(99,))
