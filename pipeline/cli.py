@@ -86,6 +86,7 @@ def seeds(text: str) -> Callable[[Any], Any]:
 
 
 CELL = click.argument("cell")
+COUNT = click.IntRange(min=1)
 
 
 @click.group(cls=Group, context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]})
@@ -108,7 +109,7 @@ def cli() -> None:
 @cli.command()
 @click.argument("cells", nargs=-1, metavar="[CELL]...")
 @path("--run", "reports/published/cpu", "An archived run.")
-@click.option("--episodes", type=click.IntRange(min=1), default=5, show_default=True, help="Of each policy.")
+@click.option("--episodes", type=COUNT, default=5, show_default=True, help="Of each policy.")
 @path("--out", "demo", "Folder for the films.")
 @path("--picture", None, "File for all films side by side, an animated WebP.")
 def demo(cells: Sequence[str], run: Path, episodes: int, out: Path, picture: Path | None) -> None:
@@ -123,7 +124,7 @@ def demo(cells: Sequence[str], run: Path, episodes: int, out: Path, picture: Pat
 
 
 @cli.command()
-@click.option("-j", "--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Stages at a time.")
+@click.option("-j", "--jobs", type=COUNT, default=2, show_default=True, help="Stages at a time.")
 @click.argument("stages", nargs=-1, metavar="[STAGE]...")
 def run(stages: Sequence[str], jobs: int) -> None:
     """Bring stages up to date, several at a time.
@@ -291,9 +292,9 @@ def goal_use(cell: str) -> None:
 
 @cli.command()
 @CELL
-@click.option("--steps", default=200_000, show_default=True, help="Of play.")
-@click.option("--updates", type=int, help="Of the training. Default: the recipe's.")
-@click.option("--trials", default=104, show_default=True, help="For each goal set.")
+@click.option("--steps", type=COUNT, default=200_000, show_default=True, help="Of play.")
+@click.option("--updates", type=COUNT, help="Of the training. Default: the recipe's.")
+@click.option("--trials", type=COUNT, default=104, show_default=True, help="For each goal set.")
 @click.option("--seed", default=77, show_default=True, help="Of the trials, not those that are reported.")
 @path("--folder", "states", "Of play and models.")
 def states(cell: str, steps: int, updates: int | None, trials: int, seed: int, folder: Path) -> None:
@@ -326,7 +327,7 @@ def bench_policy(cell: str, published: Path | None) -> None:
 
 @bench.command("training")
 @click.argument("cells", nargs=-1, required=True, metavar="CELL...")
-@click.option("--seeds-together", type=int, multiple=True, default=[1], show_default=True, help="Can be repeated.")
+@click.option("--seeds-together", type=COUNT, multiple=True, default=[1], show_default=True, help="Can be repeated.")
 @click.option(
     "--precision", type=click.Choice(["fp32", "bf16"]), multiple=True, default=["fp32", "bf16"], help="Default: both."
 )

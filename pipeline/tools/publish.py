@@ -195,8 +195,11 @@ def publish(names: Sequence[str], weights_of: Sequence[str], dropped: Sequence[s
         dropped: stages and environments to take out; then nothing is added.
 
     Raises:
-        UserError: an unknown name, nothing finished of it, or parameters or data other than those of the archive.
+        UserError: an unknown name, nothing finished of it, names or weights beside dropped ones, or parameters or data
+            other than those of the archive.
     """
+    if dropped and (names or weights_of):
+        raise UserError("--drop takes out and adds nothing: give it without a NAME and without --weights")
     params = load()
     available, folder = parts(params), FOLDER / params.profile
     for method in weights_of:

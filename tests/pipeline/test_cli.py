@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pandas as pd
 import pytest
 
@@ -59,6 +60,20 @@ def test_mistakes_are_told_in_one_line(tmp_path):
     assert "No such command 'fly'" in beso(tmp_path, "fly", code=2)
     (tmp_path / "dvc.yaml").touch()
     assert beso(tmp_path, "check", code=1) == "error: params.yaml is missing: run this in the repository's root\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("states", "calvin-c_beso", "--steps", "0"),
+        ("states", "calvin-c_beso", "--updates", "0"),
+        ("states", "calvin-c_beso", "--trials", "-1"),
+        ("bench", "training", "block_push-gcbc", "--seeds-together", "0"),
+    ],
+)
+def test_numbers_below_one_are_refused(arguments):
+    with pytest.raises(click.BadParameter, match="is not in the range x>=1"):
+        cli.cli(arguments, standalone_mode=False)
 
 
 def test_a_file_in_the_place_of_a_folder_is_one_line(tmp_path, capsys):

@@ -172,6 +172,12 @@ def test_a_dropped_cell_is_not_run(archived_small, tmp_path, monkeypatch):
     )
 
 
+def test_what_is_dropped_is_not_beside_what_is_added():
+    for names, weights in ((["kitchen"], []), ([], ["c_beso"])):
+        with pytest.raises(UserError, match="--drop takes out and adds nothing"):
+            publish.publish(names, weights, ["fork"])
+
+
 @pytest.mark.parametrize(
     ("names", "options", "message"),
     [
