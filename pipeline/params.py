@@ -35,20 +35,6 @@ class Cell(CellPaths):
 
 
 @dataclass(frozen=True)
-class Study:
-    """A study of a cell.
-
-    Attributes:
-        vary: values by parameter of the sampling.
-        recipe: the samplings that these make, and the episodes.
-    """
-
-    cell: Cell
-    vary: dict[str, Any]
-    recipe: StudyRecipe
-
-
-@dataclass(frozen=True)
 class Params:
     """The whole of params.yaml, resolved.
 
@@ -62,7 +48,7 @@ class Params:
     environments: dict[str, EnvironmentParams]
     images: dict[str, ImageParams]
     cells: dict[str, Cell]
-    studies: dict[str, Study]
+    studies: dict[str, StudyRecipe]
     labels: dict[str, str]
     latency: Latency
     fork: ForkEntry | None
@@ -243,7 +229,7 @@ def _teacher(cells: dict[str, Cell], cell: Cell, images: dict[str, ImageParams],
         raise UserError(f"{source}: images.{cell.env}.features.finetune must be false")
 
 
-def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> Study:
+def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> StudyRecipe:
     """A study whose samplings its cell could have, and whose episodes are among the evaluation's."""
     entry = build_merged(StudyEntry, layers, where)
     cell = cells.get(f"{entry.env}-{entry.method}")
@@ -262,5 +248,4 @@ def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> Stu
         samplings.append(build(methods.sampling(entry.of), {**whole, **changes[-1]}, where))
         check_fit(cell.train.first.config.model, samplings[-1], where)
     evaluation = dataclasses.replace(evaluation, goals=goals, rollouts=entry.rollouts)
-    recipe = StudyRecipe(entry.env, entry.method, name, entry.of, seeds, tuple(changes), tuple(samplings), evaluation)
-    return Study(cell, entry.vary, recipe)
+    return StudyRecipe(entry.env, entry.method, name, entry.of, seeds, tuple(changes), tuple(samplings), evaluation)
