@@ -62,15 +62,8 @@ class Params:
         """The cells of one environment, in their order."""
         return [cell for cell in self.cells.values() if cell.env == env]
 
-    def environment(self, env: str) -> EnvironmentParams:
-        """One environment's block. Raises UserError if params.yaml does not have it."""
-        if env not in self.environments:
-            raise UserError(f"environment {env!r} is not in {PATH}: {', '.join(self.environments)} are")
-        return self.environments[env]
-
     def cell(self, env: str, method: str) -> Cell:
-        """One cell. Raises UserError if params.yaml does not have it."""
-        self.environment(env)
+        """One cell. Raises UserError if there is none."""
         return self.cell_named(f"{env}-{method}")
 
     def cell_named(self, name: str) -> Cell:
@@ -193,7 +186,7 @@ def _cell(entry: CellEntry, environment: EnvironmentParams, inheritance: Inherit
     )
     train = TrainRecipe(env, method, teacher, seeds, job)
     evaluate = EvaluateRecipe(env, method, entry.of, seeds, sampling, environment.evaluation, entry.film)
-    folders = [str(paths.play(env)), *(str(c.models) for c in map(_paths, file.cells.values()) if c.env == env)]
+    folders = [str(paths.play(env)), *(str(other.models) for other in file.cells.values() if other.env == env)]
     if entry.source not in folders or entry.source == str(train.models):
         allowed = ", ".join(folder for folder in folders if folder != str(train.models))
         raise UserError(f"{where}.source = {entry.source!r}: must be one of {allowed}")
@@ -208,10 +201,6 @@ def _some_of(whose: str, known: tuple[Any, ...], chosen: tuple[Any, ...] | None,
         allowed = ", ".join(map(str, known))
         raise UserError(f"{where} = {list(chosen)}: must be different ones of {whose}, {allowed}")
     return chosen
-
-
-def _paths(entry: CellEntry) -> CellPaths:
-    return CellPaths(entry.env, entry.method)
 
 
 def _teacher(cells: dict[str, Cell], cell: Cell, images: dict[str, ImageParams], where: str) -> None:
