@@ -281,6 +281,17 @@ def lock() -> None:
     main()
 
 
+@cli.command()
+def readme() -> None:
+    """Renew the table of results in README.md.
+
+    From reports/ and the archives in reports/published.
+    """
+    from pipeline.tools.readme import renew
+
+    renew()
+
+
 @cli.command("goal-use")
 @CELL
 def goal_use(cell: str) -> None:
