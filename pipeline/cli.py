@@ -86,7 +86,7 @@ def seeds(text: str) -> Callable[[Any], Any]:
 
 
 CELL = click.argument("cell")
-MODELS = path("--models", "models", "Folder of a run's models, or of `beso train`'s.")
+COUNT = click.IntRange(min=1)
 
 
 @click.group(cls=Group, context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]})
@@ -109,7 +109,7 @@ def cli() -> None:
 @cli.command()
 @click.argument("cells", nargs=-1, metavar="[CELL]...")
 @path("--run", "reports/published/cpu", "An archived run.")
-@click.option("--episodes", type=click.IntRange(min=1), default=5, show_default=True, help="Of each policy.")
+@click.option("--episodes", type=COUNT, default=5, show_default=True, help="Of each policy.")
 @path("--out", "demo", "Folder for the films.")
 @path("--picture", None, "File for all films side by side, an animated WebP.")
 def demo(cells: Sequence[str], run: Path, episodes: int, out: Path, picture: Path | None) -> None:
@@ -124,7 +124,7 @@ def demo(cells: Sequence[str], run: Path, episodes: int, out: Path, picture: Pat
 
 
 @cli.command()
-@click.option("-j", "--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Stages at a time.")
+@click.option("-j", "--jobs", type=COUNT, default=2, show_default=True, help="Stages at a time.")
 @click.argument("stages", nargs=-1, metavar="[STAGE]...")
 def run(stages: Sequence[str], jobs: int) -> None:
     """Bring stages up to date, several at a time.
@@ -171,7 +171,7 @@ def train(cells: Sequence[str], seeds: Sequence[int], hours: float, out: Path) -
 
 @cli.command()
 @CELL
-@MODELS
+@path("--models", "models", "Folder of a run's models, or of `beso train`'s.")
 @seeds("Trained model")
 @path("--rows", None, "File for the episodes, a row each (CSV).")
 def evaluate(cell: str, models: Path, seeds: Sequence[int], rows: Path | None) -> None:
@@ -186,12 +186,12 @@ def evaluate(cell: str, models: Path, seeds: Sequence[int], rows: Path | None) -
 
 @cli.command()
 @CELL
-@MODELS
+@path("--models", None, "Folder of models, as `beso evaluate` takes it. Default: the run's.")
 @click.option("--seed", type=int, default=1, show_default=True, help="The trained model.")
 @click.option("--episode", type=click.IntRange(min=0), default=0, show_default=True, help="Its number.")
 @path("--run", ".", "A run's folder, like reports/published/cpu. Default: this one.")
 @path("--film", "watch.webm", "File to write.")
-def watch(cell: str, models: Path, seed: int, episode: int, run: Path, film: Path) -> None:
+def watch(cell: str, models: Path | None, seed: int, episode: int, run: Path, film: Path) -> None:
     """Film an episode of the evaluation: same start, goal and noise."""
     from pipeline.tools.evaluate import watch
 
@@ -281,6 +281,17 @@ def lock() -> None:
     main()
 
 
+@cli.command()
+def readme() -> None:
+    """Renew the table of results in README.md.
+
+    From reports/ and the archives in reports/published.
+    """
+    from pipeline.tools.readme import renew
+
+    renew()
+
+
 @cli.command("goal-use")
 @CELL
 def goal_use(cell: str) -> None:
@@ -292,9 +303,9 @@ def goal_use(cell: str) -> None:
 
 @cli.command()
 @CELL
-@click.option("--steps", default=200_000, show_default=True, help="Of play.")
-@click.option("--updates", type=int, help="Of the training. Default: the recipe's.")
-@click.option("--trials", default=104, show_default=True, help="For each goal set.")
+@click.option("--steps", type=COUNT, default=200_000, show_default=True, help="Of play.")
+@click.option("--updates", type=COUNT, help="Of the training. Default: the recipe's.")
+@click.option("--trials", type=COUNT, default=104, show_default=True, help="For each goal set.")
 @click.option("--seed", default=77, show_default=True, help="Of the trials, not those that are reported.")
 @path("--folder", "states", "Of play and models.")
 def states(cell: str, steps: int, updates: int | None, trials: int, seed: int, folder: Path) -> None:
@@ -327,7 +338,7 @@ def bench_policy(cell: str, published: Path | None) -> None:
 
 @bench.command("training")
 @click.argument("cells", nargs=-1, required=True, metavar="CELL...")
-@click.option("--seeds-together", type=int, multiple=True, default=[1], show_default=True, help="Can be repeated.")
+@click.option("--seeds-together", type=COUNT, multiple=True, default=[1], show_default=True, help="Can be repeated.")
 @click.option(
     "--precision", type=click.Choice(["fp32", "bf16"]), multiple=True, default=["fp32", "bf16"], help="Default: both."
 )

@@ -35,20 +35,6 @@ class Cell(CellPaths):
 
 
 @dataclass(frozen=True)
-class Study:
-    """A study of a cell.
-
-    Attributes:
-        vary: values by parameter of the sampling.
-        recipe: the samplings that these make, and the episodes.
-    """
-
-    cell: Cell
-    vary: dict[str, Any]
-    recipe: StudyRecipe
-
-
-@dataclass(frozen=True)
 class Params:
     """The whole of params.yaml, resolved.
 
@@ -62,7 +48,7 @@ class Params:
     environments: dict[str, EnvironmentParams]
     images: dict[str, ImageParams]
     cells: dict[str, Cell]
-    studies: dict[str, Study]
+    studies: dict[str, StudyRecipe]
     labels: dict[str, str]
     latency: Latency
     fork: ForkEntry | None
@@ -76,21 +62,14 @@ class Params:
         """The cells of one environment, in their order."""
         return [cell for cell in self.cells.values() if cell.env == env]
 
-    def environment(self, env: str) -> EnvironmentParams:
-        """One environment's block. Raises UserError if params.yaml does not have it."""
-        if env not in self.environments:
-            raise UserError(f"environment {env!r} is not in {PATH}: {', '.join(self.environments)} are")
-        return self.environments[env]
-
     def cell(self, env: str, method: str) -> Cell:
-        """One cell. Raises UserError if params.yaml does not have it."""
-        self.environment(env)
+        """One cell. Raises UserError if there is none."""
         return self.cell_named(f"{env}-{method}")
 
     def cell_named(self, name: str) -> Cell:
-        """One cell, by its key. Raises UserError if params.yaml does not have it."""
+        """One cell, by its key. Raises UserError if there is none."""
         if name not in self.cells:
-            raise UserError(f"{PATH} has no cell {name}: {', '.join(self.cells)} are there")
+            raise UserError(f"profile {self.profile} has no cell {name}: {', '.join(self.cells)} are there")
         return self.cells[name]
 
 
@@ -207,7 +186,7 @@ def _cell(entry: CellEntry, environment: EnvironmentParams, inheritance: Inherit
     )
     train = TrainRecipe(env, method, teacher, seeds, job)
     evaluate = EvaluateRecipe(env, method, entry.of, seeds, sampling, environment.evaluation, entry.film)
-    folders = [str(paths.play(env)), *(str(c.models) for c in map(_paths, file.cells.values()) if c.env == env)]
+    folders = [str(paths.play(env)), *(str(other.models) for other in file.cells.values() if other.env == env)]
     if entry.source not in folders or entry.source == str(train.models):
         allowed = ", ".join(folder for folder in folders if folder != str(train.models))
         raise UserError(f"{where}.source = {entry.source!r}: must be one of {allowed}")
@@ -222,10 +201,6 @@ def _some_of(whose: str, known: tuple[Any, ...], chosen: tuple[Any, ...] | None,
         allowed = ", ".join(map(str, known))
         raise UserError(f"{where} = {list(chosen)}: must be different ones of {whose}, {allowed}")
     return chosen
-
-
-def _paths(entry: CellEntry) -> CellPaths:
-    return CellPaths(entry.env, entry.method)
 
 
 def _teacher(cells: dict[str, Cell], cell: Cell, images: dict[str, ImageParams], where: str) -> None:
@@ -243,7 +218,7 @@ def _teacher(cells: dict[str, Cell], cell: Cell, images: dict[str, ImageParams],
         raise UserError(f"{source}: images.{cell.env}.features.finetune must be false")
 
 
-def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> Study:
+def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> StudyRecipe:
     """A study whose samplings its cell could have, and whose episodes are among the evaluation's."""
     entry = build_merged(StudyEntry, layers, where)
     cell = cells.get(f"{entry.env}-{entry.method}")
@@ -262,5 +237,4 @@ def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> Stu
         samplings.append(build(methods.sampling(entry.of), {**whole, **changes[-1]}, where))
         check_fit(cell.train.first.config.model, samplings[-1], where)
     evaluation = dataclasses.replace(evaluation, goals=goals, rollouts=entry.rollouts)
-    recipe = StudyRecipe(entry.env, entry.method, name, entry.of, seeds, tuple(changes), tuple(samplings), evaluation)
-    return Study(cell, entry.vary, recipe)
+    return StudyRecipe(entry.env, entry.method, name, entry.of, seeds, tuple(changes), tuple(samplings), evaluation)

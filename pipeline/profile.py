@@ -78,6 +78,7 @@ def leaves(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 def _read(name: str) -> tuple[str, Params]:
     values, comments = _merged(name, ())
+    values["profile"] = name
     text = "\n".join(_lines(values, comments)).strip() + "\n"
     return text, params.parse(parse_yaml(text, f"profile {name}"), f"profile {name}")
 
@@ -133,11 +134,13 @@ def _change(
         if value is None and isinstance(inner.get(name), dict):
             del inner[name]
         elif isinstance(value, dict):
-            _change(inner.setdefault(name, {}), value, values, notes, key, base)
+            if not isinstance(inner.get(name), dict):
+                inner[name] = {}
+            _change(inner[name], value, values, notes, key, base)
         else:
             for special in _special(values, key):
                 _remove(values, special)
-            if inner.get(name, value) != value and key != ("profile",):
+            if inner.get(name, value) != value:
                 above, note = notes.get(key, Comment("", ""))
                 if " in profile " not in note:
                     whose = COMPLETE if _complete().get(".".join(key)) == inner[name] else base

@@ -117,6 +117,11 @@ class StudyRecipe(CellPaths):
     evaluation: EvaluationConfig
 
     @property
+    def varied(self) -> list[str]:
+        """The parameters of the sampling that it changes."""
+        return list(self.changes[0])
+
+    @property
     def rows(self) -> Path:
         """Its evaluation, a row an episode and sampling."""
         return Path("results/studies") / f"{self.study}.csv"

@@ -9,6 +9,7 @@ from beso.core.training_config import ValidationConfig
 from beso.encoders.resnet import check_width
 from beso.evaluation.config import EvaluationConfig
 from beso.images.pretraining import Pretraining
+from pipeline.recipes import CellPaths
 
 NAME = re.compile("[a-z0-9_]+")  # of environments, methods, studies: dvc.yaml puts them into commands
 MEANT_OTHERWISE = re.compile(r"[\\{}$%&#_^~\x00-\x1f]")  # by LaTeX or matplotlib
@@ -83,6 +84,12 @@ class Weights:
     sha256: str
     mean: tuple[float, ...]
     std: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("mean", "std"):
+            numbers = getattr(self, name)
+            require(len(numbers) == 3, f"{name} = {list(numbers)}: must be three numbers, of red, green and blue")
+        require(min(self.std) > 0, f"std = {list(self.std)}: must be positive")
 
 
 @dataclass(frozen=True)
@@ -165,7 +172,7 @@ class EnvironmentParams:
 
 
 @dataclass(frozen=True)
-class CellEntry:
+class CellEntry(CellPaths):
     """One method in one environment, as params.yaml names it.
 
     Attributes:
@@ -175,8 +182,6 @@ class CellEntry:
         seeds: some of the environment's; null is all.
     """
 
-    env: str
-    method: str
     of: str
     source: str
     film: bool = False
@@ -299,6 +304,12 @@ class File:
                 )
         for name, cell in self.cells.items():
             require(
-                name == f"{cell.env}-{cell.method}",
-                f"cells.{name}: its name must be env and method with a hyphen between, {cell.env}-{cell.method}",
+                name == cell.name,
+                f"cells.{name}: its name must be env and method with a hyphen between, {cell.name}",
+            )
+        labels = [method.label for method in self.methods.values()]
+        for name, method in self.methods.items():
+            require(
+                labels.count(method.label) == 1,
+                f"methods.{name}: label = {shown(method.label)}: must be one that no other method has",
             )

@@ -31,7 +31,7 @@ def guard(main: Callable[..., Any], *given: Any) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
     except KeyboardInterrupt:
-        _fail("interrupted; run the same command again: unfinished training continues, other stages start anew", 130)
+        _fail("interrupted; run the same command again: unfinished training continues, all else starts anew", 130)
     except UserError as error:
         _fail(f"error: {error}", 1)
     except OSError as error:

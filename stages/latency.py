@@ -42,23 +42,22 @@ def measure(recipe: LatencyRecipe) -> pd.DataFrame:
 
 def time_cell(recipe: LatencyRecipe, cell: Cell) -> list[dict[str, Any]]:
     """The rows of one cell."""
-    sizes = envs.spec(cell.env).sizes
-    model, sampling = cell.train.first.config.model, cell.evaluate.sampling
-    policy, length = build(cell.of, model, sampling, sizes), sampling.context_steps(model.context)
+    sizes, (policy, context) = envs.spec(cell.env).sizes, build(cell)
     count = sum(p.numel() for p in policy.parameters())
     rows = []
     for batch in recipe.batches:
-        times = time_calls(policy, length, sizes, batch, recipe.repeats)
+        times = time_calls(policy, context, sizes, batch, recipe.repeats)
         q1, median, q3 = np.percentile(times, [25, 50, 75]).round(3)
         row = {"environment": cell.env, "method": cell.method, "parameters": count, "batch": batch}
         rows.append({**row, "median_ms": median, "q1_ms": q1, "q3_ms": q3})
     return rows
 
 
-def build(method: str, config: Any, sampling: Any, sizes: Sizes) -> Any:
-    """A policy with random weights, in evaluation mode."""
-    draws = torch.Generator().manual_seed(0)
-    return methods.load(method).Method(config, sampling, sizes, draws).eval()
+def build(cell: Cell) -> tuple[Any, int]:
+    """A cell's policy with random weights, in evaluation mode, and how many steps it sees."""
+    model, sampling, draws = cell.train.first.config.model, cell.evaluate.sampling, torch.Generator().manual_seed(0)
+    policy = methods.load(cell.of).Method(model, sampling, envs.spec(cell.env).sizes, draws).eval()
+    return policy, sampling.context_steps(model.context)
 
 
 def time_calls(policy: Any, window: int, sizes: Sizes, batch: int, repeats: int) -> list[float]:

@@ -44,7 +44,7 @@ def recipes(params: Params) -> Iterator[tuple[str, Any]]:
         yield f"train/{cell.env}/{cell.method}", cell.train
         yield f"evaluate/{cell.env}/{cell.method}", cell.evaluate
     for name, study in params.studies.items():
-        yield f"study/{name}", study.recipe
+        yield f"study/{name}", study
     assert params.fork is not None  # as in every params.yaml
     yield "latency", LatencyRecipe(params.latency.repeats, params.latency.batches, tuple(params.cells))
     on_fork = {name: build(ForkMethod, block, f"{FORK}.{name}") for name, block in read_yaml(FORK).items()}

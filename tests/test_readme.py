@@ -8,7 +8,8 @@ import pytest
 
 from pipeline import profile
 from pipeline.cli import cli
-from pipeline.report import readme
+from pipeline.report import comparison
+from pipeline.tools import readme
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -71,7 +72,7 @@ def test_the_parameter_that_it_changes_stands_on_one_line_of_every_profile(name)
     assert sum(a != b for a, b in zip(before, after, strict=True)) == 1
 
 
-def test_its_table_has_the_papers_scores_and_each_runs():
+def test_its_table_has_the_papers_scores_and_each_runs(monkeypatch):
     archive = pd.read_csv(ROOT / "reports/published/cpu/comparison.csv")
     lines = [
         line.strip("| ").split(" | ") for line in readme.results(profile.load("cpu"), {"run": archive}).splitlines()
@@ -82,5 +83,10 @@ def test_its_table_has_the_papers_scores_and_each_runs():
     assert lines[3] == ["run", *(f"{score:.2f}" for score in scores)]
     paper = [line for line in lines if line[0].startswith("CALVIN, two")]
     assert paper == [["CALVIN, two tasks, success of 1", "paper", *["-"] * 6, "0.79", "-"]]
+    numbers = comparison.paper_numbers()
+    monkeypatch.setattr(readme, "paper_numbers", lambda: numbers[numbers["environment"] != "calvin"])
+    lines = readme.results(profile.load("cpu"), {"run": archive})
+    assert "Kitchen" in lines
+    assert "CALVIN" not in lines
     assert readme.BEGIN in README
     assert readme.END in README

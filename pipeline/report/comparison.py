@@ -112,15 +112,12 @@ def _of_study(params: Params, rows: dict[str, pd.DataFrame], name: str, number: 
     """What a study of this run says of one of the paper's numbers; None if it has no such study or sampling."""
     wanted = {key: values.split("|") for key, values in (pair.split("=") for pair in number.values.split())}
     study = params.studies.get(name)
-    if study is None or (study.cell.env, study.cell.of, {*study.vary}) != (
-        number.environment,
-        number.method,
-        {*wanted},
-    ):
+    asked = (number.environment, number.method, {*wanted})
+    if study is None or (study.env, study.of, {*study.varied}) != asked:
         return None
-    metric = next((m for m in envs.report(study.cell.env).METRICS if m.name == number.metric), None)
+    metric = next((m for m in envs.report(study.env).METRICS if m.name == number.metric), None)
     samplings = [
-        changes for changes in study.recipe.changes if all(str(value) in wanted[key] for key, value in changes.items())
+        changes for changes in study.changes if all(str(value) in wanted[key] for key, value in changes.items())
     ]
     if metric is None or len(samplings) < math.prod(map(len, wanted.values())):
         return None

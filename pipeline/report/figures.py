@@ -97,9 +97,7 @@ def drawings(params: Params, values: dict[str, Any]) -> Iterator[Drawing]:
             yield Drawing(f"probe_{name}", caption, probe(pd.read_csv(root / paths.probe(name))))
     for table in values["studies"].values():
         caption = f"{table.title}; bars are 95 % intervals, diamonds the paper's numbers where it has them."
-        yield Drawing(
-            f"study_{table.name}", caption, study(params.studies[table.name].recipe.changes, table, comparison)
-        )
+        yield Drawing(f"study_{table.name}", caption, study(params.studies[table.name].changes, table, comparison))
     if params.fork:
         caption = "The fork, a toy: one state with two right actions, and the actions each method draws from it."
         yield Drawing("fork", caption, fork_samples(params, pd.read_csv(root / paths.FORK)))

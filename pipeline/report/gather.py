@@ -55,8 +55,7 @@ def gather(params: Params, root: Path = Path()) -> dict[str, Any]:
     }
     of_studies = {
         name: rows.read(root / of.rows, f"study@{name}", of.env, of.seeds, of.evaluation, of.changes)
-        for name, study in params.studies.items()
-        if (of := study.recipe)
+        for name, of in params.studies.items()
     }
     played = {
         env: {params.labels[cell.method]: episodes[cell.name] for cell in params.cells_in(env)} for env in params.envs

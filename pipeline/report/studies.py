@@ -57,13 +57,11 @@ def tables(params: Params, rows: dict[str, pd.DataFrame]) -> dict[str, Table]:
     """One table for each study, by its name, from the studies' rows."""
     found = {}
     for name, study in params.studies.items():
-        cell, recipe = study.cell, study.recipe
-        title = (
-            f"{words(name.removesuffix(f'_{cell.env}'))}: {params.labels[cell.method]} in {envs.report(cell.env).LABEL}"
-        )
-        parts = [([value(v) for v in changes.values()], rows_of(rows[name], changes)) for changes in recipe.changes]
-        varied = [words(key) for key in study.vary]
-        found[name] = _table(name, title, varied, cell.env, recipe.evaluation.goals, parts)
+        env, method = study.env, params.labels[study.method]
+        title = f"{words(name.removesuffix(f'_{env}'))}: {method} in {envs.report(env).LABEL}"
+        parts = [([value(v) for v in changes.values()], rows_of(rows[name], changes)) for changes in study.changes]
+        varied = [words(key) for key in study.varied]
+        found[name] = _table(name, title, varied, env, study.evaluation.goals, parts)
     return found
 
 

@@ -68,10 +68,10 @@ def parts(params: Params) -> dict[str, Part]:
             told["teacher"] = params.cell(cell.env, cell.train.teacher).train
         found[f"evaluate@{name}"] = Part(f"evaluate@{name}", cell.episodes, _leaves(told), cell)
     for name, study in params.studies.items():
-        of_cell = found[f"evaluate@{study.cell.name}"].parameters
+        of_cell = found[f"evaluate@{study.name}"].parameters
         told = {key: value for key, value in of_cell.items() if not key.startswith("evaluate.")}
-        told |= _leaves({"study": study.recipe})
-        found[f"study@{name}"] = Part(f"study@{name}", study.recipe.rows, told, study.cell)
+        told |= _leaves({"study": study})
+        found[f"study@{name}"] = Part(f"study@{name}", study.rows, told, params.cells[study.name])
     if params.fork:
         found["fork"] = Part("fork", paths.FORK, _leaves({"seed": params.seed, "fork": params.fork}))
     return found

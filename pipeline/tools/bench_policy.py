@@ -69,7 +69,7 @@ def bench(name: str, published: Path | None) -> None:
     if published:
         policies["published code"] = Published(published, cell, spec.sizes)
     for weights in get_args(Weights):
-        policies[weights], context = _policy(cell)
+        policies[weights], context = build(cell)
         choose(policies[weights], weights)
     cores, policy = available_workers(), policies["fp32"]
     count = sum(p.numel() for p in policy.parameters())
@@ -143,12 +143,6 @@ class Published:
         return generated[:, -1]
 
 
-def _policy(cell: Cell) -> tuple[Any, int]:
-    """A policy with random weights, and how many steps it sees."""
-    model, sampling = cell.train.first.config.model, cell.evaluate.sampling
-    return build(cell.of, model, sampling, envs.spec(cell.env).sizes), sampling.context_steps(model.context)
-
-
 def _parts(policy: Any, context: int, sizes: Sizes, batch: int) -> dict[str, float]:
     """Shares of a call's time by kind of operation."""
     os.environ.setdefault("KINETO_LOG_LEVEL", "6")  # else the profiler writes that it begins and ends
@@ -165,7 +159,7 @@ def _parts(policy: Any, context: int, sizes: Sizes, batch: int) -> dict[str, flo
 
 def _play(cell: Cell, count: int, steps: int) -> tuple[float, float, int]:
     """Start and end (seconds) of `steps` steps of `count` environments, and the process's peak memory, KiB."""
-    spec, (policy, context) = envs.spec(cell.env), _policy(cell)
+    spec, (policy, context) = envs.spec(cell.env), build(cell)
     environments = [envs.evaluation(cell.env).make() for _ in range(count)]
     observations = np.stack([env.reset(seed=i)[0] for i, env in enumerate(environments)])
     dataset = play.load(paths.play(cell.env), spec)

@@ -66,8 +66,9 @@ def demo(cells: Sequence[str], run: Path, episodes: int, folder: Path, picture: 
     planned = []
     for name in cells or kept:
         job = evaluation_jobs(params.cells[name].evaluate, machine, run)[0]
-        # What was not made is told before any episode is played.
-        trials.pick(trials.load(job.trials), job.config.goals[0], job.seed, range(episodes))
+        made = trials.load(job.trials).get((job.config.goals[0], job.seed), ())
+        if episodes > len(made):
+            raise UserError(f"--episodes {episodes}: {run} has {len(made)} of {name}")
         planned.append((job, episodes, folder / f"{name}.webm"))
     print(f"policies of {run} play {episodes} episodes each ...", flush=True)
     films = []

@@ -50,23 +50,29 @@ def evaluate(name: str, seeds: Sequence[int], models: Path, rows: Path | None) -
         print(f"{report.GOAL_LABELS[goals]}, {len(part)} episodes: {', '.join(told)}")
 
 
-def watch(name: str, seed: int, episode: int, models: Path, run: Path, film: Path) -> None:
+def watch(name: str, seed: int, episode: int, models: Path | None, run: Path, film: Path) -> None:
     """Film one episode and print its row.
 
     Args:
         seed: the trained model.
-        models: a folder as `beso train` or a run has it; of another run than the repository's, its own is taken.
+        models: a folder as `beso train` or a run has it; None is the run's.
         run: the folder of params.yaml, play data and trials.
         film: the .webm file to write.
 
     Raises:
-        UserError: something of that is missing, or this machine cannot draw.
+        UserError: something of that is missing, models are given for another run than the repository's, or this
+            machine cannot draw.
     """
     params = load(run / PATH)
     cell = params.cell_named(name)
     if film.suffix != ".webm" or not film.parent.is_dir():
         raise UserError(f"--film {film}: must be a .webm file in a folder that exists")
-    folder = finished(models, params, name, [seed])[seed] if run == Path() else run / cell.models
+    if run.samefile(Path()):
+        folder = finished(models or Path("models"), params, name, [seed])[seed]
+    elif models:
+        raise UserError(f"--models {models}, --run {run}: give one of them; another run is filmed with its own models")
+    else:
+        folder = run / cell.models
     weights = checkpoint.paths(folder, seed)[0]
     if not weights.is_file():
         kept = sorted(map(str, (run / "models").glob("*/*/*.safetensors")))

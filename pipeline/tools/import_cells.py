@@ -70,13 +70,16 @@ def import_cells(folder: Path) -> None:
                     shutil.copyfile(weights, temporary / weights.name)
                     write_json(temporary / description.name, read_json(description) | {"data": digest})
         missing = [str(seed) for seed, source in found.items() if source is None]
-        print(f"{name}: " + (f"dvc repro would train seeds {', '.join(missing)} here" if missing else "all seeds"))
+        told = f"dvc repro would train seeds {', '.join(missing)} here" if missing else "all seeds"
+        if cell.models.is_dir() and not missing:  # where the stage is up to date, `dvc repro` would do nothing
+            told += f"; run `dvc repro --force --single-item train@{name}`"
+        print(f"{name}: {told}")
 
 
 def _take_encoder(folder: Path, env: str, params: Params) -> None:
     """Put an archive's encoder where the stage `features` looks for one, unless the features here are of it."""
     theirs, here = (place / paths.play(env) / encoder.DESCRIPTION for place in (folder, Path()))
-    if not theirs.is_file():
+    if not (theirs.is_file() and theirs.with_name(encoder.WEIGHTS).is_file()):  # an archive leaves out large weights
         return
     description = read_json(theirs)
     if here.is_file() and read_json(here)["sha256"] == description["sha256"]:

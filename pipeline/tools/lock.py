@@ -9,12 +9,9 @@ import re
 from pathlib import Path
 
 from beso.files import write_text
+from pipeline.report.page import PACKAGES
 
 FOLDER = Path("constraints")
-RESULTS = {
-    *("torch", "numpy", "scipy", "scikit-learn", "threadpoolctl", "safetensors", "pandas", "matplotlib"),
-    *("pybullet", "mujoco", "gymnasium", "gymnasium-robotics", "opencv-python-headless"),
-}
 INSTALLER = ("pip", "setuptools", "beso-reproduction")  # not what is installed by the constraints
 
 
@@ -25,7 +22,7 @@ def pinned() -> dict[str, list[str]]:
         name = re.sub("[-_.]+", "-", distribution.metadata["Name"]).lower()
         version = distribution.version.partition("+")[0]  # a CPU and a CUDA build are the same release
         if name not in INSTALLER:
-            found["results" if name in RESULTS else "tools"].append(f"{name}=={version}")
+            found["results" if name in PACKAGES else "tools"].append(f"{name}=={version}")
     return {name: sorted(set(lines)) for name, lines in found.items()}
 
 

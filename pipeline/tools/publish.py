@@ -137,6 +137,9 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
 
     Args:
         weights_of: methods whose weights are to be kept.
+
+    Raises:
+        UserError: what the archive has is of other parameters or data, or not whole.
     """
     shown = restricted(params, there)
     renewed = dict.fromkeys(part.env for part in new if part.env)
@@ -145,6 +148,9 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
         if part not in new:
             data = {"data": digests[part.env]} if part.env in digests else {}
             check(part, folder, {"parameters": part.parameters, **data})
+            for path in files(part):
+                if not (folder / path).is_file():  # it is filmed now, and was not then
+                    raise UserError(f"{folder / path} is missing: archive it anew, `beso publish {part.stage}`")
     with replacing(folder) as temporary:
         for part in there:
             kept = [path for path in weights(part) if (folder / path).is_file()]
@@ -189,8 +195,11 @@ def publish(names: Sequence[str], weights_of: Sequence[str], dropped: Sequence[s
         dropped: stages and environments to take out; then nothing is added.
 
     Raises:
-        UserError: an unknown name, nothing finished of it, or parameters or data other than those of the archive.
+        UserError: an unknown name, nothing finished of it, names or weights beside dropped ones, or parameters or data
+            other than those of the archive.
     """
+    if dropped and (names or weights_of):
+        raise UserError("--drop takes out and adds nothing: give it without a NAME and without --weights")
     params = load()
     available, folder = parts(params), FOLDER / params.profile
     for method in weights_of:

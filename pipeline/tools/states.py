@@ -47,7 +47,7 @@ def judge(name: str, steps: int, updates: int | None, trials: int, seed: int, fo
     """
     params, machine = load(), Machine.load()
     cell = params.cell_named(name)
-    states, job, tasks = envs.states(cell.env), cell.train.first, params.environment(cell.env).evaluation.tasks or ()
+    states, job, tasks = envs.states(cell.env), cell.train.first, params.environments[cell.env].evaluation.tasks or ()
     if updates:
         job = replace(job, config=replace(job.config, optimization=replace(job.config.optimization, steps=updates)))
     data = folder / cell.env / f"play-{scratch.fingerprint(cell.env, params.seed, steps)}"

@@ -32,7 +32,7 @@ from beso.core.device import pick_device
 from beso.core.training_config import TrainingJob
 from beso.data import play
 from beso.errors import UserError
-from beso.files import write_text
+from beso.files import replacing, write_text
 from pipeline import pool, scratch
 from pipeline.machine import Machine
 from pipeline.params import Cell, Params, load
@@ -74,7 +74,8 @@ def train(params: Params, cell: str, jobs: list[TrainingJob], out: Path, until: 
     """Train seeds of one cell below `out`, `machine.seeds_together` at a time; whether there was time for all.
 
     Raises:
-        UserError: the play data are missing, or a package that this method alone needs.
+        UserError: the play data or a package that this method alone needs are missing, or the teacher that is in
+            models/ has other parameters.
     """
     recipe, machine = params.cells[cell].train, Machine.load()
     digest, device = play.data_digest(play.load(recipe.play, envs.spec(recipe.env))), pick_device(machine.device)
@@ -139,11 +140,13 @@ def find_finished(trained: Path, job: TrainingJob, digest: str) -> Path | None:
 
 
 def _bring(teacher: TrainingJob, trained: Path, models: Path, digest: str) -> None:
-    """Put a finished teacher where its stage would, unless one is there."""
-    if not checkpoint.paths(models, teacher.seed)[1].exists() and (source := find_finished(trained, teacher, digest)):
-        models.mkdir(parents=True, exist_ok=True)
+    """Put a finished teacher where its stage would. Raises UserError if one of other parameters is there."""
+    if checkpoint.paths(models, teacher.seed)[1].exists():
+        checkpoint.check(models, teacher)
+    elif source := find_finished(trained, teacher, digest):
         for path in checkpoint.paths(source, teacher.seed):
-            shutil.copyfile(path, models / path.name)
+            with replacing(models / path.name) as temporary:
+                shutil.copyfile(path, temporary)
 
 
 def _curve(folder: Path, seed: int) -> list[dict[str, float]]:

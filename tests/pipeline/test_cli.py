@@ -1,10 +1,12 @@
 """The command `beso` as its user meets it."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pandas as pd
 import pytest
 
@@ -60,6 +62,20 @@ def test_mistakes_are_told_in_one_line(tmp_path):
     assert beso(tmp_path, "check", code=1) == "error: params.yaml is missing: run this in the repository's root\n"
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("states", "calvin-c_beso", "--steps", "0"),
+        ("states", "calvin-c_beso", "--updates", "0"),
+        ("states", "calvin-c_beso", "--trials", "-1"),
+        ("bench", "training", "block_push-gcbc", "--seeds-together", "0"),
+    ],
+)
+def test_numbers_below_one_are_refused(arguments):
+    with pytest.raises(click.BadParameter, match="is not in the range x>=1"):
+        cli.cli(arguments, standalone_mode=False)
+
+
 def test_a_file_in_the_place_of_a_folder_is_one_line(tmp_path, capsys):
     (tmp_path / "file").touch()
     (tmp_path / "folder").mkdir()
@@ -96,6 +112,18 @@ def test_any_subfolder_and_the_home_will_do(tmp_path, monkeypatch):
     assert seen(Path("models")) == Path("models"), "a default is the root's"
     assert seen("HEAD", cli.Run) == "HEAD"
     assert seen("../where", cli.Run) == "some/where"
+
+
+def test_another_run_is_filmed_with_its_own_models(tmp_path):
+    run = "reports/published/cpu"
+    line = beso(ROOT, "watch", "block_push-c_beso", "--run", run, "--models", "trained", code=1)
+    assert line == (
+        f"error: --models trained, --run {run}: give one of them; another run is filmed with its own models\n"
+    )
+    shutil.copyfile(ROOT / "params.yaml", tmp_path / "params.yaml")
+    (tmp_path / "dvc.yaml").touch()
+    line = beso(tmp_path, "watch", "block_push-c_beso", "--run", str(tmp_path), "--models", "trained", code=1)
+    assert line.startswith("error: data/play/block_push is not a play dataset"), "the models are looked for"
 
 
 def test_a_policy_by_hand_acts_as_the_pipelines(finished, tmp_path):

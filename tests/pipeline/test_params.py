@@ -106,6 +106,7 @@ IMAGES = {
         },
     },
 }
+WEIGHTS = {"path": "x", "sha256": "0", "mean": [0.5, 0.5, 0.5], "std": [1, 1, 1]}
 
 
 def cell(env, method, of=None, source=None):
@@ -124,6 +125,7 @@ def cell(env, method, of=None, source=None):
             (("methods", "gcbc", "label"), label, r"methods\.gcbc: label = .*: must have 1 to 40 characters, none of")
             for label in ("50 %", "a_b", "$x$", "A & B", "#1", r"\input{x}", "a\nb", "", "x" * 41, "a~b", "a^b", "{a}")
         ),
+        (("methods", "gcbc", "label"), "C-BESO", r"methods\.gcbc: label = 'C-BESO': must be one that no other"),
         ((*OPTIMIZATION, "batch_size"), 10**12, r"optimization\.batch_size = 10+: must be at most 1048576"),
         ((*BLOCK_PUSH, "collect", "demonstrations"), 10**18, r"collect\.demonstrations = 10+: must be at most 1000000"),
         (("environments", "calvin", "collect", "camera", "size"), 10**9, r"size = 10+: must be at most 4096"),
@@ -309,6 +311,8 @@ def room(values):
         (("preprocess", "held_out"), 1.0, r"preprocess: held_out = 1\.0: must be between 0 and 1"),
         (("features", "width"), 24, r"features: width = 24: must be one of 64, 32, 16, 8"),
         (("features", "weights"), {"path": "x"}, r"features\.weights\.sha256 is missing"),
+        (("features", "weights"), WEIGHTS | {"mean": [0.5]}, r"weights: mean = \[0\.5\]: must be three numbers"),
+        (("features", "weights"), WEIGHTS | {"std": [1, 0, 1]}, r"weights: std = .*: must be positive"),
         (("features", "pretraining", "horizon"), 0, r"pretraining: horizon = 0: must be at least 1"),
         (
             ("features", "pretraining", "steps"),
@@ -428,19 +432,23 @@ def test_profiles_build_on_each_other(tmp_path, monkeypatch):
     monkeypatch.setattr(profile, "FOLDER", tmp_path / "profiles")
     (tmp_path / "profiles/mine").mkdir()
     file = tmp_path / "profiles/mine/common.yaml"
-    file.write_text("profile: mine\nextends: quick\nall_environments: {evaluation: {chunk: 5}}\n")
+    file.write_text("extends: quick\nall_environments: {evaluation: {chunk: 5}}\n")
     mine, quick = (yaml.parse_yaml(profile.render(name), name) for name in ("mine", "quick"))
     assert params.parse(mine, "mine").environments["block_push"].evaluation.chunk == 5
     assert mine["environments"]["block_push"]["evaluation"] == {"rollouts": 20}
+    assert mine["profile"] == "mine"
     assert {**mine, "profile": "quick", "all_environments": 0, "environments": 0} == {
         **quick,
         "all_environments": 0,
         "environments": 0,
     }
-    file.write_text("profile: mine\nextends: mine\n")
+    file.write_text("images: {calvin: {features: {weights: {path: mine.pth}}}}\n")
+    with pytest.raises(UserError, match=r"features\.weights\.sha256 is missing"):  # a mapping in place of null
+        profile.render("mine")
+    file.write_text("extends: mine\n")
     with pytest.raises(UserError, match="profile mine extends itself: mine -> mine"):
         profile.render("mine")
-    file.write_text("profile: mine\nextends: other\n")
+    file.write_text("extends: other\n")
     with pytest.raises(UserError, match="profile 'other' is not one of cpu, gpu, mine, paper, quick, smoke"):
         profile.render("mine")
 

@@ -3,8 +3,8 @@ import pytest
 from beso import envs
 from beso.errors import UserError
 from pipeline import profile
-from pipeline.tools.bench_policy import PUBLISHED, Published, _parts, _policy
-from stages.latency import time_calls
+from pipeline.tools.bench_policy import PUBLISHED, Published, _parts
+from stages.latency import build, time_calls
 
 CELL = profile.load("paper").cell_named("block_push-c_beso")
 SIZES = envs.spec("block_push").sizes
@@ -48,7 +48,7 @@ def test_what_cannot_be_measured_is_one_line(folder):
 
 
 def test_parts_of_a_call_are_its_whole_time():
-    policy, context = _policy(CELL)
+    policy, context = build(CELL)
     shares = _parts(policy, context, SIZES, 1)
     assert {"linear layers", "attention", "copies", "Python"} <= shares.keys()
     assert sum(shares.values()) == pytest.approx(1, abs=0.05)

@@ -23,6 +23,7 @@ from pipeline.recipes import read_environment
 from pipeline.report import figures
 from pipeline.settings import Features
 from pipeline.tools import publish
+from pipeline.tools.archive import held, parts
 from pipeline.tools.import_cells import import_cells
 from stages.evaluate import evaluate_cell
 from stages.features import make_features
@@ -171,6 +172,12 @@ def test_a_dropped_cell_is_not_run(archived_small, tmp_path, monkeypatch):
     )
 
 
+def test_what_is_dropped_is_not_beside_what_is_added():
+    for names, weights in ((["kitchen"], []), ([], ["c_beso"])):
+        with pytest.raises(UserError, match="--drop takes out and adds nothing"):
+            publish.publish(names, weights, ["fork"])
+
+
 @pytest.mark.parametrize(
     ("names", "options", "message"),
     [
@@ -196,6 +203,16 @@ def test_an_archive_that_a_kill_left_under_another_name_is_put_back(tmp_path, ca
     left[0].mkdir()
     publish.recover(tmp_path / "smoke")
     assert sorted(path.name for path in tmp_path.iterdir()) == [".smoke.1.partial", "smoke"], "of the living, nothing"
+
+
+def test_a_cell_that_is_filmed_since_it_was_archived_is_archived_anew(tmp_path):
+    archive = shutil.copytree(next(run for run in COMMITTED if run.name == "cpu"), tmp_path / "cpu")
+    params = load(archive / PATH)
+    cell = params.cells["calvin-c_ibc"]
+    filmed = replace(cell, evaluate=replace(cell.evaluate, film=True))
+    params = replace(params, cells=params.cells | {cell.name: filmed})
+    with pytest.raises(UserError, match=r"c_ibc\.npy is missing: archive it anew, `beso publish evaluate@cal"):
+        publish.write(archive, params, held(archive, parts(params)), [], [])
 
 
 def test_archives_without_records_are_refused(archived, tmp_path, monkeypatch):
@@ -262,7 +279,7 @@ def test_policies_that_see_pictures_are_taken_where_features_differ_in_last_bits
     assert told()[0] == encoder  # in half precision it is another one
     make_features(read_environment(Features, "features", "calvin"), Machine.load())
     capsys.readouterr()
-    assert told() == ["calvin-c_beso: all seeds"]
+    assert told() == ["calvin-c_beso: all seeds; run `dvc repro --force --single-item train@calvin-c_beso`"]
     train_cell(cell.train, Machine.load())
     evaluate_cell(cell.evaluate, Machine.load())  # refuses models of other play data
 

@@ -13,6 +13,7 @@ import pytest
 from beso import envs
 from beso.data import play
 from beso.errors import UserError
+from beso.files import read_json, write_json
 from pipeline import params, paths, profile
 from pipeline.machine import Machine
 from pipeline.tools import bench_training, publish
@@ -99,7 +100,7 @@ def test_what_time_cuts_off_continues_to_the_stages_bytes(place, capsys):
 
 
 def test_unknown_cells_and_seeds_are_refused(place):
-    with pytest.raises(UserError, match=r"has no cell x: block_push-gcbc"):
+    with pytest.raises(UserError, match=r"profile smoke has no cell x: block_push-gcbc"):
         run("x")
     with pytest.raises(UserError, match=r"block_push-c_beso has no seed 99 in params.yaml"):
         run(seeds=(99,))
@@ -112,6 +113,8 @@ def test_the_stage_takes_what_was_brought_back(place, monkeypatch, capsys):
     monkeypatch.setattr(stage, "Training", None)  # nothing is trained
     train_stage()
     assert models("models") == models("trained")
+    import_cells(Path("trained"))
+    assert capsys.readouterr().out.endswith(f"{CELL}: all seeds; run `dvc repro --force --single-item train@{CELL}`\n")
     assert params.load().cells[CELL].curve.read_text().startswith("step,learning_rate,training_loss,")
 
 
@@ -123,6 +126,7 @@ def test_models_of_an_archive_are_taken_as_trained(place, monkeypatch, capsys):
     shutil.move("models", "archive/models")
     Path("archive/models/block_push/gcbc").mkdir()
     shutil.copy("archive/models/block_push/c_beso/seed1.json", "archive/models/block_push/gcbc")  # no weights
+    write_json(Path("archive/data/play/calvin/encoder.json"), {})  # of an encoder that was too large
     import_cells(Path("archive"))
     said = capsys.readouterr().out
     assert "archive/models/block_push/c_beso: taken; it does not tell which state of beso/ trained it\n" in said
@@ -149,6 +153,10 @@ def test_students_learn_from_the_teacher_beside_them(place, capsys):
         path.unlink()
     run(student)
     assert models("models") == teacher, "a missing seed is brought too"
+    description = Path("models/block_push/c_beso/seed1.json")
+    write_json(description, read_json(description) | {"job": {}})
+    with pytest.raises(UserError, match=r"seed1\.json is a checkpoint of another configuration: "):
+        run(student)
     shutil.rmtree("models")
     import_cells(Path("trained"))
     assert f"{student}: models/block_push/c_beso/seed1.json is missing: train" in capsys.readouterr().out
