@@ -208,10 +208,10 @@ def test_an_archive_that_a_kill_left_under_another_name_is_put_back(tmp_path, ca
 def test_a_cell_that_is_filmed_since_it_was_archived_is_archived_anew(tmp_path):
     archive = shutil.copytree(next(run for run in COMMITTED if run.name == "cpu"), tmp_path / "cpu")
     params = load(archive / PATH)
-    cell = params.cells["calvin-c_ibc"]
+    cell = params.cells["calvin-ril"]
     filmed = replace(cell, evaluate=replace(cell.evaluate, film=True))
     params = replace(params, cells=params.cells | {cell.name: filmed})
-    with pytest.raises(UserError, match=r"c_ibc\.npy is missing: archive it anew, `beso publish evaluate@cal"):
+    with pytest.raises(UserError, match=r"ril\.npy is missing: archive it anew, `beso publish evaluate@cal"):
         publish.write(archive, params, held(archive, parts(params)), [], [])
 
 
