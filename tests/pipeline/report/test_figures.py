@@ -35,9 +35,12 @@ def test_the_overview_of_a_run_beside_which_the_paper_has_nothing_is_empty():
 
 def test_the_overview_draws_every_method_that_the_paper_has():
     methods = ["gcbc", "c_ibc", "lmp", "ril", "c_bet", "cx_diff", "c_beso", "cfg_beso", "c_beso_film"]
-    figure = drawn(*[("block_push", "result", method, None, 0.5, 0.4, 0.6, 0.9, 0.1) for method in methods])
+    with matplotlib.rc_context(STYLE):
+        figure = drawn(*[("block_push", "result", method, None, 0.5, 0.4, 0.6, 0.9, 0.1) for method in methods])
+        figure.draw_without_rendering()
     (legend,) = figure.legends
     assert len(legend.get_texts()) == len(methods)
+    assert 0 <= legend.get_window_extent().x0 < legend.get_window_extent().x1 <= figure.bbox.x1
     looks = {(line.get_marker(), line.get_color()) for line in legend.get_lines()}
     assert len(looks) == len(methods)
 
