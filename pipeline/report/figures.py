@@ -134,8 +134,8 @@ def overview(params: Params, comparison: pd.DataFrame) -> Figure:
         axis.set_title(f"{envs.report(environment).LABEL},\n{metric.label}")
     look: dict[str, Any] = {"linestyle": "none", "markersize": 5, "markeredgewidth": 0.4, "markeredgecolor": "black"}
     keys = [Line2D([], [], marker=styles[method][0], color=styles[method][1], **look) for method in drawn]
-    names, columns = [params.labels[method] for method in drawn], 8 if len(drawn) <= 8 else 5  # what fits the width
-    figure.legend(keys, names, loc="outside lower center", ncols=columns, frameon=False)
+    names, across = [params.labels[method] for method in drawn], 8 if len(drawn) <= 8 else 5  # what fits the width
+    figure.legend(keys, names, loc="outside lower center", ncols=across, frameon=False)
     for axis in grid:
         axis.set_xlabel("paper")
     grid[0].set_ylabel("ours")
