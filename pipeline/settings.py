@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from beso.config import require, require_positive, shown
+from beso.core.device import PrecisionOrAuto
 from beso.core.training_config import ValidationConfig
 from beso.encoders.resnet import check_width
 from beso.evaluation.config import EvaluationConfig
@@ -104,7 +105,7 @@ class Features:
     """
 
     width: int
-    precision: Literal["auto", "fp32", "bf16"]
+    precision: PrecisionOrAuto
     weights: Weights | None
     pretraining: Pretraining
     finetune: bool

@@ -8,6 +8,7 @@ import torch
 from beso.errors import UserError
 
 Precision = Literal["fp32", "bf16"]
+PrecisionOrAuto = Literal["auto", "fp32", "bf16"]
 
 
 def pick_device(name: str) -> torch.device:
@@ -31,7 +32,7 @@ def pick_device(name: str) -> torch.device:
     return device
 
 
-def pick_precision(name: Literal["auto", "fp32", "bf16"], device: torch.device) -> Precision:
+def pick_precision(name: PrecisionOrAuto, device: torch.device) -> Precision:
     """The precision of that name; "auto" means bf16 where the device multiplies it, elsewhere fp32, faster there."""
     if name != "auto":
         return name

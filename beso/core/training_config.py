@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from beso.config import require, require_positive, require_rate
+from beso.core.device import PrecisionOrAuto
 from beso.data.split import model_split
 
 STEP_DECAY_EVERY, STEP_DECAY = 100, 0.99  # the published code's StepLR
@@ -33,7 +34,7 @@ class OptimizationConfig:
     weight_decay: float
     schedule: Literal["constant", "cosine", "step"]
     ema_decay: float
-    precision: Literal["auto", "fp32", "bf16"]
+    precision: PrecisionOrAuto
 
     def __post_init__(self) -> None:
         require_positive(self, "steps", "batch_size")

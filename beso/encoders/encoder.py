@@ -8,7 +8,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 import safetensors.torch
@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from beso.config import build, require
+from beso.core.device import Precision
 from beso.encoders.resnet import FEATURES, ResNet18, check_width
 from beso.errors import UserError
 from beso.files import check_sha256, read_json, replacing, sha256, write_json
@@ -40,7 +41,7 @@ class Encoding:
     size: int
     mean: tuple[float, ...]
     std: tuple[float, ...]
-    precision: Literal["fp32", "bf16"]
+    precision: Precision
 
     def __post_init__(self) -> None:
         check_width(self.width)

@@ -12,13 +12,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
 
 from beso import envs
-from beso.core.device import pick_device
+from beso.core.device import Precision, pick_device
 from beso.core.training_config import TrainingJob
 from beso.data import play
 from beso.training.loop import Training
@@ -30,9 +29,7 @@ WARM_UP = 5  # updates before the clock starts: libraries set themselves up, a g
 BLOCKS = 5
 
 
-def bench(
-    cells: Sequence[str], seeds_together: Sequence[int], precisions: Sequence[Literal["fp32", "bf16"]], seconds: float
-) -> None:
+def bench(cells: Sequence[str], seeds_together: Sequence[int], precisions: Sequence[Precision], seconds: float) -> None:
     """Print a Markdown table.
 
     Args:
@@ -64,7 +61,7 @@ def bench(
             )
 
 
-def _endless(job: TrainingJob, precision: Literal["fp32", "bf16"]) -> TrainingJob:
+def _endless(job: TrainingJob, precision: Precision) -> TrainingJob:
     """The job in that precision, without measurements of its losses."""
     optimization = replace(job.config.optimization, precision=precision, steps=10**9)
     validation = replace(job.validation, every=10**9)

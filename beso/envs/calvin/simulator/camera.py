@@ -18,7 +18,7 @@ def picture(client: Client, size: int) -> np.ndarray:
     """What the static camera sees, (size, size, 3) uint8 RGB.
 
     Without shadows: they would double the time, and an image's time is most of a step's. Where nothing is drawn, there
-    is floor: drawing it would take 1.5 ms of 3.8 at 84 pixels.
+    is floor: drawing it would take 0.6 ms of 3.8 at 84 pixels.
     """
     view = client.computeViewMatrix(EYE, LOOKS_AT, UP)
     projection = client.computeProjectionMatrixFOV(FIELD_OF_VIEW, 1.0, NEAR, FAR)
