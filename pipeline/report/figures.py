@@ -112,12 +112,13 @@ def overview(params: Params, comparison: pd.DataFrame) -> Figure:
         for metric in envs.report(environment).METRICS
         if len(part := both[(both["environment"] == environment) & (both["metric"] == metric.name)])
     ]
-    count = max(1, len(shown))
-    figure, grid = panels(count, 0.7, min(4, 8 / min(count, PANELS_A_LINE)))  # squares: fewer are larger
     known = set(comparison.loc[comparison["paper"].notna(), "method"])
     looks = itertools.cycle(zip(MARKERS, (*reversed(METHOD_COLOURS), "0.4"), strict=True))
     styles = {method: next(looks) for method in params.labels if method in known}
     drawn = [method for method in styles if method in set(both["method"])]
+    across, margin = (8, 0.7) if len(drawn) <= 8 else (5, 0.9)  # the legend's columns, and room for its lines
+    count = max(1, len(shown))
+    figure, grid = panels(count, margin, min(4, 8 / min(count, PANELS_A_LINE)))  # squares: fewer are larger
     top = 1.08 + max([0.0, *(part["ours_high"].max() / metric.maximum - 1 for _, metric, part in shown)])
     for axis, (environment, metric, part) in zip(grid, shown, strict=False):
         axis.plot([0, 1], [0, 1], color="0.7", linewidth=1, zorder=0)
@@ -134,7 +135,7 @@ def overview(params: Params, comparison: pd.DataFrame) -> Figure:
         axis.set_title(f"{envs.report(environment).LABEL},\n{metric.label}")
     look: dict[str, Any] = {"linestyle": "none", "markersize": 5, "markeredgewidth": 0.4, "markeredgecolor": "black"}
     keys = [Line2D([], [], marker=styles[method][0], color=styles[method][1], **look) for method in drawn]
-    names, across = [params.labels[method] for method in drawn], 8 if len(drawn) <= 8 else 5  # what fits the width
+    names = [params.labels[method] for method in drawn]
     figure.legend(keys, names, loc="outside lower center", ncols=across, frameon=False)
     for axis in grid:
         axis.set_xlabel("paper")
