@@ -58,5 +58,5 @@ def _values(cell: Cell) -> dict[str, str]:
 
 def _text(value: Any) -> str:
     if value is None:
-        return "not set"
+        return "all"
     return f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")

@@ -18,4 +18,4 @@ def test_what_two_parts_of_a_cell_call_alike_has_a_row_for_each():
     assert student["optimization: steps"] == ("3000", "10000")
     values = {name: ours for name, ours, _ in tables["C-BESO", "Block-Push"]}
     assert {"steps", "sampling: steps"} <= values.keys()
-    assert values["sampling: context length"] == "not set"
+    assert values["sampling: context length"] == "all"
