@@ -7,7 +7,7 @@ from typing import Any, Literal
 from beso.config import require, require_positive, shown
 from beso.core.device import PrecisionOrAuto
 from beso.core.training_config import ValidationConfig
-from beso.encoders.resnet import check_width
+from beso.encoders.resnet import Head, check_width
 from beso.evaluation.config import EvaluationConfig
 from beso.images.pretraining import Pretraining
 from pipeline.recipes import CellPaths
@@ -98,13 +98,14 @@ class Features:
     """The encoder.
 
     Attributes:
-        width: channels of its first stage, see beso.encoders.resnet.
+        width, head: of the network, see beso.encoders.resnet.
         precision: "fp32", "bf16" for autocast, in training and afterwards, or "auto" for what the device is fast at.
         weights: if given, nothing is trained before.
         finetune: every policy trains its own copy on, as in the paper; else it is frozen.
     """
 
     width: int
+    head: Head
     precision: PrecisionOrAuto
     weights: Weights | None
     pretraining: Pretraining

@@ -84,12 +84,12 @@ def make_encoder(settings: Features, folder: Path, seed: int, machine: Machine, 
     precision = pick_precision(settings.precision, device)
     if settings.weights is not None:
         given = settings.weights
-        encoding = Encoding(settings.width, size, given.mean, given.std, precision)
-        network = encoder.network(settings.width, read_weights(from_home(given.path), given.sha256), given.path)
+        encoding = Encoding(settings.width, size, given.mean, given.std, precision, settings.head)
+        network = encoder.network(encoding, read_weights(from_home(given.path), given.sha256), given.path)
         provenance: dict[str, Any] = {"weights": given.sha256}
     else:
         mean, std = packed.meta["mean"], packed.meta["std"]
-        encoding = Encoding(settings.width, size, tuple(mean), tuple(std), precision)
+        encoding = Encoding(settings.width, size, tuple(mean), tuple(std), precision, settings.head)
         state, config = target / "state.safetensors", settings.pretraining
         network, curve = pretrain(packed, encoding, config, seed, device, state, machine.save_seconds)
         state.unlink(missing_ok=True)
@@ -128,8 +128,9 @@ def measure(
     """The probe's table: the features, those of an encoder with random weights, and the state itself."""
     untrained = waiting / "random"
     untrained.mkdir(exist_ok=True)
-    network = ResNet18(recipe.settings.width, torch_generator(recipe.seed, "random encoder"))
-    encoder.save(untrained, network, encoder.load(waiting, torch.device("cpu")).encoding, {"weights": "random"})
+    encoding = encoder.load(waiting, torch.device("cpu")).encoding
+    network = ResNet18(encoding.width, torch_generator(recipe.seed, "random encoder"), encoding.head)
+    encoder.save(untrained, network, encoding, {"weights": "random"})
     representations = {
         "features": features,
         "random encoder": encode_all(untrained, paths.frames(recipe.env), machine, untrained / "features.npy"),

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from beso.config import build, require
 from beso.core.device import Precision
-from beso.encoders.resnet import FEATURES, ResNet18, check_width
+from beso.encoders.resnet import FEATURES, Head, ResNet18, check_width
 from beso.errors import UserError
 from beso.files import check_sha256, read_json, replacing, sha256, write_json
 
@@ -31,7 +31,7 @@ class Encoding:
     """How frames become features, apart from the weights.
 
     Attributes:
-        width: of the network, see beso.encoders.resnet.
+        width, head: of the network, see beso.encoders.resnet.
         size: height and width of the frames, pixels.
         mean, std: by which red, green and blue, in [0, 1], are standardised.
         precision: "fp32", or "bf16" for autocast.
@@ -42,6 +42,7 @@ class Encoding:
     mean: tuple[float, ...]
     std: tuple[float, ...]
     precision: Precision
+    head: Head = "average"
 
     def __post_init__(self) -> None:
         check_width(self.width)
@@ -136,23 +137,23 @@ def load(folder: Path, device: torch.device) -> FrameEncoder:
     if not weights.is_file():
         raise UserError(f"{weights} is missing")
     check_sha256(weights, description.get("sha256"), DESCRIPTION)
-    return FrameEncoder(network(encoding.width, safetensors.torch.load_file(weights), str(weights)), encoding, device)
+    return FrameEncoder(network(encoding, safetensors.torch.load_file(weights), str(weights)), encoding, device)
 
 
-def network(width: int, weights: Mapping[str, Tensor], where: str) -> ResNet18:
+def network(encoding: Encoding, weights: Mapping[str, Tensor], where: str) -> ResNet18:
     """A network with given weights; those of a classifier, `fc.*`, are left out.
 
     Raises:
-        UserError: they are not the weights of a ResNet-18 of this width.
+        UserError: they are not the weights of a ResNet-18 of this width and head.
     """
-    made = ResNet18(width, torch.Generator())  # initial weights, overwritten below
+    made = ResNet18(encoding.width, torch.Generator(), encoding.head)  # initial weights, overwritten below
     expected = {name: tuple(value.shape) for name, value in made.state_dict().items()}
     found = {name: value for name, value in weights.items() if not name.startswith("fc.")}
     for name in sorted(expected.keys() | found.keys()):
         shape = tuple(found[name].shape) if name in found else None
         if shape != expected.get(name):
             mismatch = f"{name} has shape {shape}, not {expected.get(name)}"
-            raise UserError(f"{where} does not hold a ResNet-18 of width {width}: {mismatch}")
+            raise UserError(f"{where} does not hold a ResNet-18 of width {encoding.width}: {mismatch}")
     for name, value in found.items():
         if not value.isfinite().all():
             raise UserError(f"{where}: {name} holds numbers that are not finite")

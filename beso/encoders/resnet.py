@@ -4,7 +4,7 @@ Parameters have torchvision's names, so that published weights load.
 """
 
 import math
-from typing import Final
+from typing import Final, Literal
 
 import torch
 from torch import Tensor, nn
@@ -15,6 +15,9 @@ from beso.config import require
 FEATURES: Final = 512
 WIDTHS: Final = {64: (1, 1), 32: (1, 2), 16: (2, 2), 8: (2, 4)}  # parts of the picture (rows, columns) pooled apart
 BLOCKS: Final = 2  # a stage
+MAPS: Final = (11, 6, 3)  # rows and columns of the last three stages' maps of a picture of 84 pixels
+
+Head = Literal["average", "linear"]
 
 
 class BasicBlock(nn.Module):
@@ -38,19 +41,21 @@ class BasicBlock(nn.Module):
 
 
 class ResNet18(nn.Module):
-    """The network up to its pooling: 512 features of a picture.
+    """The network without its classifier: 512 features of a picture.
 
     Args:
         width: channels of the first stage, 64 in the published network; each of the next three stages has twice as
-            many as the one before. A narrower network pools parts of the picture apart (WIDTHS), so that it has 512
-            features too: channels of the last stage times parts.
+            many as the one before.
         generator: initial weights are drawn from it as torchvision does (He et al. 2015, fan out).
+        head: what makes features of the stages' maps. "average" is the published pooling; a narrower network pools
+            parts of the picture apart (WIDTHS), so that it has 512 features too: channels of the last stage times
+            parts. "linear" is a linear layer on the last three stages' maps, which keeps where things are.
 
     Raises:
         ValueError: the width is not one of WIDTHS.
     """
 
-    def __init__(self, width: int, generator: torch.Generator) -> None:
+    def __init__(self, width: int, generator: torch.Generator, head: Head = "average") -> None:
         super().__init__()
         check_width(width)
         self.parts = WIDTHS[width]
@@ -65,13 +70,26 @@ class ResNet18(nn.Module):
                 if isinstance(module, nn.Conv2d):
                     fan_out = module.out_channels * math.prod(module.kernel_size)
                     module.weight.normal_(0, math.sqrt(2 / fan_out), generator=generator)
+        self.head: nn.Linear | None = None
+        if head == "linear":
+            inputs = sum(2**stage * width * side**2 for stage, side in enumerate(MAPS, start=1))
+            self.head = nn.Linear(inputs, FEATURES)
+            with torch.no_grad():
+                self.head.weight.normal_(0, 1 / math.sqrt(inputs), generator=generator)
+                self.head.bias.zero_()
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Features (B, 512) of pictures (B, 3, H, W) whose channels have been standardised."""
         x = functional.relu(self.bn1(self.conv1(pictures)))
         x = functional.max_pool2d(x, 3, stride=2, padding=1)
-        x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
-        return functional.adaptive_avg_pool2d(x, self.parts).flatten(1)
+        x, maps = self.layer1(x), []
+        for stage in (self.layer2, self.layer3, self.layer4):
+            x = stage(x)
+            maps.append(x)
+        if self.head is None:
+            return functional.adaptive_avg_pool2d(x, self.parts).flatten(1)
+        flat = [functional.adaptive_avg_pool2d(x, side).flatten(1) for x, side in zip(maps, MAPS, strict=True)]
+        return self.head(torch.cat(flat, dim=1))
 
 
 def check_width(width: int) -> None:

@@ -83,6 +83,6 @@ def test_missing_damaged_and_altered_files(folder):
 def test_a_classifier_is_left_out():
     weights = ResNet18(8, torch.Generator().manual_seed(0)).state_dict()
     weights |= {"fc.weight": torch.zeros(10, 512), "fc.bias": torch.zeros(10)}
-    loaded = encoder.network(8, weights, "weights")
+    loaded = encoder.network(encoding(), weights, "weights")
     assert all(torch.equal(value, weights[name]) for name, value in loaded.state_dict().items())
     assert safetensors.torch.save(dict(loaded.state_dict()))
