@@ -15,9 +15,10 @@ from beso.config import require
 FEATURES: Final = 512
 WIDTHS: Final = {64: (1, 1), 32: (1, 2), 16: (2, 2), 8: (2, 4)}  # parts of the picture (rows, columns) pooled apart
 BLOCKS: Final = 2  # a stage
-MAPS: Final = (11, 6, 3)  # rows and columns of the last three stages' maps of a picture of 84 pixels
+SIDE: Final = 8  # rows and columns of the map that the head "pyramid" makes
+STAGES: Final = 4
 
-Head = Literal["average", "linear"]
+Head = Literal["average", "pyramid"]
 
 
 class BasicBlock(nn.Module):
@@ -49,7 +50,8 @@ class ResNet18(nn.Module):
         generator: initial weights are drawn from it as torchvision does (He et al. 2015, fan out).
         head: what makes features of the stages' maps. "average" is the published pooling; a narrower network pools
             parts of the picture apart (WIDTHS), so that it has 512 features too: channels of the last stage times
-            parts. "linear" is a linear layer on the last three stages' maps, which keeps where things are.
+            parts. "pyramid" keeps where things are: a feature pyramid (Lin et al. 2017) of 8 channels, which adds up
+            the four stages' maps from the coarsest to the finest, averaged to 8 x 8 places.
 
     Raises:
         ValueError: the width is not one of WIDTHS.
@@ -70,26 +72,30 @@ class ResNet18(nn.Module):
                 if isinstance(module, nn.Conv2d):
                     fan_out = module.out_channels * math.prod(module.kernel_size)
                     module.weight.normal_(0, math.sqrt(2 / fan_out), generator=generator)
-        self.head: nn.Linear | None = None
-        if head == "linear":
-            inputs = sum(2**stage * width * side**2 for stage, side in enumerate(MAPS, start=1))
-            self.head = nn.Linear(inputs, FEATURES)
-            with torch.no_grad():
-                self.head.weight.normal_(0, 1 / math.sqrt(inputs), generator=generator)
-                self.head.bias.zero_()
+        laterals = []
+        if head == "pyramid":
+            laterals = [nn.Conv2d(2**stage * width, FEATURES // SIDE**2, 1) for stage in range(STAGES)]
+        with torch.no_grad():
+            for lateral in laterals:
+                lateral.weight.normal_(0, math.sqrt(1 / lateral.in_channels), generator=generator)
+                assert lateral.bias is not None
+                lateral.bias.zero_()
+        self.laterals = nn.ModuleList(laterals)
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Features (B, 512) of pictures (B, 3, H, W) whose channels have been standardised."""
         x = functional.relu(self.bn1(self.conv1(pictures)))
         x = functional.max_pool2d(x, 3, stride=2, padding=1)
-        x, maps = self.layer1(x), []
-        for stage in (self.layer2, self.layer3, self.layer4):
+        maps = []
+        for stage in (self.layer1, self.layer2, self.layer3, self.layer4):
             x = stage(x)
             maps.append(x)
-        if self.head is None:
+        if not self.laterals:
             return functional.adaptive_avg_pool2d(x, self.parts).flatten(1)
-        flat = [functional.adaptive_avg_pool2d(x, side).flatten(1) for x, side in zip(maps, MAPS, strict=True)]
-        return self.head(torch.cat(flat, dim=1))
+        pyramid = self.laterals[-1](x)
+        for lateral, finer in zip(self.laterals[-2::-1], maps[-2::-1], strict=True):
+            pyramid = lateral(finer) + functional.interpolate(pyramid, size=finer.shape[-2:], mode="bilinear")
+        return functional.adaptive_avg_pool2d(pyramid, SIDE).flatten(1)
 
 
 def check_width(width: int) -> None:

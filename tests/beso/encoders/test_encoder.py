@@ -40,15 +40,26 @@ def test_is_the_network_on_standardised_frames(folder, frames):
 
 
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
-@pytest.mark.parametrize("width", [16, 32])
-def test_a_frames_features_do_not_depend_on_the_others(width, precision, frames):
-    network = ResNet18(width, torch.Generator().manual_seed(0))
-    encode = encoder.FrameEncoder(network, encoding(width=width, precision=precision), CPU)
+@pytest.mark.parametrize(("width", "head"), [(16, "average"), (16, "pyramid"), (32, "average")])
+def test_a_frames_features_do_not_depend_on_the_others(width, head, precision, frames):
+    network = ResNet18(width, torch.Generator().manual_seed(0), head)
+    encode = encoder.FrameEncoder(network, encoding(width=width, head=head, precision=precision), CPU)
     together = encode(frames)
     order = np.random.default_rng(1).permutation(len(frames))
     assert np.array_equal(encode(frames[order]), together[order])
     assert np.array_equal(np.concatenate([encode(frames[i : i + 1]) for i in range(20)]), together[:20])
     assert encode(frames[:0]).shape == (0, 512)
+
+
+def test_a_pyramid_is_saved_and_loaded(tmp_path, frames):
+    network = ResNet18(8, torch.Generator().manual_seed(0), "pyramid")
+    encoder.save(tmp_path, network, encoding(head="pyramid"), {})
+    again = encoder.load(tmp_path, CPU)
+    assert np.array_equal(again(frames), encoder.FrameEncoder(network, encoding(head="pyramid"), CPU)(frames))
+    path = tmp_path / "encoder.json"
+    path.write_text(path.read_text().replace('"pyramid"', '"average"'))
+    with pytest.raises(UserError, match=r"laterals\.0\.bias has shape .* not None"):
+        encoder.load(tmp_path, CPU)
 
 
 def test_frames_of_another_size_or_kind_are_refused(folder, frames):

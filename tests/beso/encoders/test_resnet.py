@@ -84,12 +84,38 @@ def test_is_the_published_network():
         assert tuple(network.state_dict()[name].shape) == shape
 
 
+@pytest.mark.parametrize("head", ["average", "pyramid"])
 @pytest.mark.parametrize("width", WIDTHS)
-def test_always_512_features(width):
-    network = ResNet18(width, torch.Generator()).eval()
+def test_always_512_features(width, head):
+    network = ResNet18(width, torch.Generator(), head).eval()
     with torch.no_grad():
         for size in (32, 84, 112):
             assert network(torch.zeros(2, 3, size, size)).shape == (2, 512)
+
+
+def bilinear(x, side):
+    """Maps (C, n, n) at side x side places between their pixels' centres, the borders repeated."""
+    places = np.clip((np.arange(side) + 0.5) * x.shape[1] / side - 0.5, 0, x.shape[1] - 1)
+    below = places.astype(int)
+    above, share = np.minimum(below + 1, x.shape[1] - 1), places - below
+    rows = x[:, below] * (1 - share)[:, None] + x[:, above] * share[:, None]
+    return rows[:, :, below] * (1 - share) + rows[:, :, above] * share
+
+
+def test_the_pyramid_adds_up_the_stages_maps():
+    network = ResNet18(8, torch.Generator().manual_seed(0), "pyramid").double().eval()
+    picture, maps = torch.randn(1, 3, 256, 256, generator=torch.Generator().manual_seed(1)).double(), []
+    for stage in (network.layer1, network.layer2, network.layer3, network.layer4):
+        stage.register_forward_hook(lambda _module, _inputs, output: maps.append(output[0].numpy()))
+    with torch.no_grad():
+        found = network(picture)[0].numpy()
+    assert [x.shape for x in maps] == [(8, 64, 64), (16, 32, 32), (32, 16, 16), (64, 8, 8)]
+    expected = np.zeros((8, 8, 8))
+    for x, lateral in zip(reversed(maps), reversed(network.laterals), strict=True):
+        weight, bias = lateral.weight.detach().numpy()[:, :, 0, 0], lateral.bias.detach().numpy()
+        expected = bilinear(expected, x.shape[1]) + np.einsum("oc,cyx->oyx", weight, x) + bias[:, None, None]
+    places = expected.reshape(8, 8, 8, 8, 8).mean(axis=(2, 4))
+    assert np.allclose(found, places.reshape(-1))
 
 
 def test_initial_weights_come_from_the_generator_and_have_the_right_spread():
