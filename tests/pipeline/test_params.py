@@ -91,6 +91,7 @@ IMAGES = {
     "preprocess": {"size": 64, "held_out": 0.1},
     "features": {
         "width": 32,
+        "head": "average",
         "precision": "bf16",
         "weights": None,
         "finetune": False,
@@ -310,6 +311,7 @@ def room(values):
         (("preprocess", "size"), 65, r"preprocess\.size = 65: must be at most collect\.camera\.size, 64"),
         (("preprocess", "held_out"), 1.0, r"preprocess: held_out = 1\.0: must be between 0 and 1"),
         (("features", "width"), 24, r"features: width = 24: must be one of 64, 32, 16, 8"),
+        (("features", "head"), "flat", r"features\.head = 'flat': expected one of average, pyramid"),
         (("features", "weights"), {"path": "x"}, r"features\.weights\.sha256 is missing"),
         (("features", "weights"), WEIGHTS | {"mean": [0.5]}, r"weights: mean = \[0\.5\]: must be three numbers"),
         (("features", "weights"), WEIGHTS | {"std": [1, 0, 1]}, r"weights: std = .*: must be positive"),
