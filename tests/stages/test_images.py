@@ -38,7 +38,8 @@ PRETRAINING = Pretraining(
     shift=1,
 )
 IMAGES = parameters.ImageParams(
-    parameters.Preprocess(size=32, held_out=0.25), parameters.Features(8, "average", "fp32", None, PRETRAINING, finetune=False)
+    parameters.Preprocess(size=32, held_out=0.25),
+    parameters.Features(8, "average", "fp32", None, PRETRAINING, finetune=False),
 )
 COLLECT = parameters.Collect("raw", "scripted", 4, None, parameters.Camera(length=12, size=40))
 
