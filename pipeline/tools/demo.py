@@ -40,7 +40,7 @@ def demo(cells: Sequence[str], run: Path, episodes: int, folder: Path, picture: 
     """Play, film and print.
 
     Args:
-        cells: none means all whose weights the run keeps.
+        cells: none means those that runs film, of all whose weights the run keeps.
         run: the folder of an archived run.
         episodes: how many each plays; the archive has the first of the evaluation.
         folder: of the films, CELL.webm.
@@ -62,9 +62,10 @@ def demo(cells: Sequence[str], run: Path, episodes: int, folder: Path, picture: 
     for name in cells:
         if params.cell_named(name).name not in kept:
             raise UserError(f"{run} keeps no weights of {name}, but of {', '.join(kept)}")
+    cells = cells or [name for name in kept if params.cells[name].evaluate.film] or kept
     folder.mkdir(parents=True, exist_ok=True)
     planned = []
-    for name in cells or kept:
+    for name in cells:
         job = evaluation_jobs(params.cells[name].evaluate, machine, run)[0]
         made = trials.load(job.trials).get((job.config.goals[0], job.seed), ())
         if episodes > len(made):
@@ -73,7 +74,7 @@ def demo(cells: Sequence[str], run: Path, episodes: int, folder: Path, picture: 
     print(f"policies of {run} play {episodes} episodes each ...", flush=True)
     films = []
     played = map_jobs(play, planned, machine, "demo")
-    for name, (job, _, film), (rows, filmed, trouble) in zip(cells or kept, planned, played, strict=True):
+    for name, (job, _, film), (rows, filmed, trouble) in zip(cells, planned, played, strict=True):
         label, tasks = envs.report(job.environment).LABEL, envs.spec(job.environment).tasks
         method = params.labels[params.cells[name].method]
         print(f"{method} in {label}: {sum(map(reached, rows))} of {len(rows)} goals reached")
@@ -85,7 +86,7 @@ def demo(cells: Sequence[str], run: Path, episodes: int, folder: Path, picture: 
     if picture is not None:
         side_by_side(films, picture)
         print(f"{picture}: {picture.stat().st_size:,} bytes")
-    print(NEXT.format(run=run, cell=(cells or kept)[0]))
+    print(NEXT.format(run=run, cell=cells[0]))
 
 
 def reached(row: Row) -> bool:
