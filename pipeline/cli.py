@@ -116,7 +116,7 @@ def demo(cells: Sequence[str], run: Path, episodes: int, out: Path, picture: Pat
     """Watch archived policies, without training.
 
     Each policy whose weights the run keeps plays some episodes. The first that reaches its goal is filmed. Without a
-    CELL, those are meant that runs film.
+    CELL, those with `film: true` are meant.
     """
     from pipeline.tools.demo import demo
 

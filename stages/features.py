@@ -16,7 +16,7 @@ from beso.data import play, store
 from beso.data.play import PlayDataset
 from beso.encoders import encoder
 from beso.encoders.encoder import Encoding
-from beso.encoders.resnet import FEATURES, ResNet18
+from beso.encoders.resnet import FEATURES
 from beso.files import from_home, replacing, sha256, write_text
 from beso.images import frames, probe
 from beso.images.frames import PackedPlay
@@ -129,7 +129,7 @@ def measure(
     untrained = waiting / "random"
     untrained.mkdir(exist_ok=True)
     encoding = encoder.load(waiting, torch.device("cpu")).encoding
-    network = ResNet18(encoding.width, torch_generator(recipe.seed, "random encoder"), encoding.head)
+    network = encoder.untrained(encoding, torch_generator(recipe.seed, "random encoder"))
     encoder.save(untrained, network, encoding, {"weights": "random"})
     representations = {
         "features": features,

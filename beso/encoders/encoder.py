@@ -42,7 +42,7 @@ class Encoding:
     mean: tuple[float, ...]
     std: tuple[float, ...]
     precision: Precision
-    head: Head = "average"
+    head: Head = "average"  # of encoders of earlier versions, which do not tell
 
     def __post_init__(self) -> None:
         check_width(self.width)
@@ -140,13 +140,18 @@ def load(folder: Path, device: torch.device) -> FrameEncoder:
     return FrameEncoder(network(encoding, safetensors.torch.load_file(weights), str(weights)), encoding, device)
 
 
+def untrained(encoding: Encoding, generator: torch.Generator) -> ResNet18:
+    """A network with initial weights from the generator."""
+    return ResNet18(encoding.width, generator, encoding.head)
+
+
 def network(encoding: Encoding, weights: Mapping[str, Tensor], where: str) -> ResNet18:
     """A network with given weights; those of a classifier, `fc.*`, are left out.
 
     Raises:
         UserError: they are not the weights of a ResNet-18 of this width and head.
     """
-    made = ResNet18(encoding.width, torch.Generator(), encoding.head)  # initial weights, overwritten below
+    made = untrained(encoding, torch.Generator())  # initial weights, overwritten below
     expected = {name: tuple(value.shape) for name, value in made.state_dict().items()}
     found = {name: value for name, value in weights.items() if not name.startswith("fc.")}
     for name in sorted(expected.keys() | found.keys()):

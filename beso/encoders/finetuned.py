@@ -164,5 +164,5 @@ def join(policy: Any, folder: Path, dataset: PlayDataset, episodes: np.ndarray) 
 
 def modules(policy: nn.Module, encoding: Encoding) -> nn.ModuleDict:
     """A policy and an encoder whose weights have the names that they have in Finetuned."""
-    network = ResNet18(encoding.width, torch.Generator(), encoding.head)  # initial weights, to be overwritten
+    network = encoder.untrained(encoding, torch.Generator())  # initial weights, to be overwritten
     return nn.ModuleDict({"policy": policy, "encoder": Normalised(network)})

@@ -16,7 +16,6 @@ FEATURES: Final = 512
 WIDTHS: Final = {64: (1, 1), 32: (1, 2), 16: (2, 2), 8: (2, 4)}  # parts of the picture (rows, columns) pooled apart
 BLOCKS: Final = 2  # a stage
 SIDE: Final = 8  # rows and columns of the map that the head "pyramid" makes
-STAGES: Final = 4
 
 Head = Literal["average", "pyramid"]
 
@@ -72,15 +71,13 @@ class ResNet18(nn.Module):
                 if isinstance(module, nn.Conv2d):
                     fan_out = module.out_channels * math.prod(module.kernel_size)
                     module.weight.normal_(0, math.sqrt(2 / fan_out), generator=generator)
-        laterals = []
+        self.laterals = nn.ModuleList()
         if head == "pyramid":
-            laterals = [nn.Conv2d(2**stage * width, FEATURES // SIDE**2, 1) for stage in range(STAGES)]
-        with torch.no_grad():
-            for lateral in laterals:
-                lateral.weight.normal_(0, math.sqrt(1 / lateral.in_channels), generator=generator)
-                assert lateral.bias is not None
-                lateral.bias.zero_()
-        self.laterals = nn.ModuleList(laterals)
+            for inputs in (width, 2 * width, 4 * width, 8 * width):
+                lateral = nn.Conv2d(inputs, FEATURES // SIDE**2, 1)
+                nn.init.normal_(lateral.weight, 0, math.sqrt(1 / inputs), generator)
+                nn.init.constant_(lateral.get_parameter("bias"), 0)
+                self.laterals.append(lateral)
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Features (B, 512) of pictures (B, 3, H, W) whose channels have been standardised."""

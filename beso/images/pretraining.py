@@ -26,8 +26,8 @@ from tqdm import trange
 
 from beso.config import require, require_positive
 from beso.core.seeding import torch_generator
-from beso.encoders.encoder import Encoding, shifted
-from beso.encoders.resnet import FEATURES, Head, ResNet18
+from beso.encoders.encoder import Encoding, shifted, untrained
+from beso.encoders.resnet import FEATURES, ResNet18
 from beso.errors import UserError
 from beso.images.frames import PackedPlay, resize
 from beso.networks.mlp import MLP
@@ -84,14 +84,14 @@ class Objectives(nn.Module):
     """The encoder and what the objectives add to it, dropped after training.
 
     Args:
-        width, head: of the encoder.
+        network: the encoder.
         actions: size of an action.
-        generator: source of all initial weights.
+        generator: source of the initial weights of what is added.
     """
 
-    def __init__(self, width: int, head: Head, actions: int, generator: torch.Generator) -> None:
+    def __init__(self, network: ResNet18, actions: int, generator: torch.Generator) -> None:
         super().__init__()
-        self.network = ResNet18(width, generator, head)
+        self.network = network
         self.dynamics = MLP(2 * FEATURES, actions, DYNAMICS_WIDTH, 1, 0.0, generator)
         self.decoder = nn.Linear(FEATURES, GRID * GRID * 3)
         with torch.no_grad():
@@ -173,7 +173,7 @@ def pretrain(
     """
     pairs = Pairs(play, config)
     generator = torch_generator(seed, "initial encoder weights")
-    model = Objectives(encoding.width, encoding.head, play.actions.shape[1], generator)
+    model = Objectives(untrained(encoding, generator), play.actions.shape[1], generator)
     model = model.to(device).to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
     optimizer = torch.optim.AdamW(
         model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay, fused=True

@@ -40,7 +40,7 @@ def demo(cells: Sequence[str], run: Path, episodes: int, folder: Path, picture: 
     """Play, film and print.
 
     Args:
-        cells: none means those that runs film, of all whose weights the run keeps.
+        cells: none means those with `film: true`, or else all, of which the run keeps weights.
         run: the folder of an archived run.
         episodes: how many each plays; the archive has the first of the evaluation.
         folder: of the films, CELL.webm.
