@@ -1,8 +1,9 @@
-"""Acting on a CPU with weights of half the size.
+"""How the weights of linear layers lie in memory, for a policy that acts for one episode on a CPU.
 
-A call for one episode computes little with each weight, so it waits for memory, which gives half-size weights in half
-the time. All sums are single precision. Weights that are half precision already, as an archive's are, give the same
-actions to about 1e-6; others are rounded.
+A call for one episode computes little with each weight, so it waits for memory. "fp32" stores a layer's weights column
+by column, which the product of a few rows reads in order; actions differ in their last bits. "fp16" halves what is
+read, and sums in single precision. Weights that are half precision already, as an archive's are, give the same actions
+to about 1e-6; others are rounded.
 """
 
 from typing import Literal, get_args
@@ -29,7 +30,7 @@ class HalfLinear(nn.Module):
 
 
 def choose(policy: nn.Module, weights: Weights) -> None:
-    """Let the linear layers of a trained policy compute with such weights, in place.
+    """Let the linear layers of a trained policy compute with such weights, in place; on a GPU "fp32" changes nothing.
 
     Raises:
         UserError: no such weights; or "fp16" and the policy is not on a CPU, or a weight is too large for it.
@@ -37,6 +38,9 @@ def choose(policy: nn.Module, weights: Weights) -> None:
     if weights not in get_args(Weights):
         raise UserError(f"weights = {weights!r}: must be {' or '.join(get_args(Weights))}")
     if weights == "fp32":
+        for layer in policy.modules():
+            if isinstance(layer, nn.Linear) and layer.weight.device.type == "cpu":
+                layer.weight.data = layer.weight.data.t().contiguous().t()
         return
     largest = torch.finfo(torch.float16).max
     for name, value in policy.named_parameters():

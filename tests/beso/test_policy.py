@@ -144,19 +144,21 @@ def test_the_spec_tells_what_the_arrays_are(folder, small_models, spec):
         policy.act(np.zeros(15))
 
 
-def test_half_size_weights_act_alike(folder, spec):
+def test_weights_laid_out_for_acting_act_alike(folder, spec):
     """As archives keep them: every weight is a number of half precision."""
     path = checkpoint.paths(folder, 1)[0]
     kept = {name: value.half().float() for name, value in safetensors.torch.load_file(path).items()}
     safetensors.torch.save_file(kept, path)
-    raw = np.random.default_rng(0).normal(size=(5, spec.observation_size))
-    actions = []
-    for weights in ("fp32", "fp16"):
-        policy = Policy.load(folder, weights=weights, device="cpu")
+    raw, cpu = np.random.default_rng(0).normal(size=(5, spec.observation_size)), torch.device("cpu")
+    loaded = [Policy.load(folder, weights=weights, device="cpu") for weights in ("fp32", "fp16")]
+    as_trained = checkpoint.load(folder, 1, loaded[0].sampling, cpu)
+    expected, *others = [], [], []
+    for policy, actions in zip([Policy(as_trained, cpu), *loaded], [expected, *others], strict=True):
         policy.reset(raw[0])
-        actions.append([policy.act(observation) for observation in raw])
-    assert np.abs(actions[0]).max() > 0.01
-    np.testing.assert_allclose(*actions, atol=1e-5)
+        actions += [policy.act(observation) for observation in raw]
+    assert np.abs(expected).max() > 0.01
+    for actions in others:
+        np.testing.assert_allclose(actions, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize(
