@@ -16,7 +16,7 @@ except ImportError:
 
 from beso.errors import UserError
 from beso.files import from_home
-from pipeline.stage import guard
+from pipeline.guard import guard
 
 MARK = "dvc.yaml"  # of the repository's root
 

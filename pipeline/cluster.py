@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 import torch
 
 from beso.errors import UserError
+from pipeline.guard import log_to_stderr
 from pipeline.machine import Machine
-from pipeline.stage import log_to_stderr
 
 Result = TypeVar("Result")
 

@@ -20,8 +20,8 @@ from tqdm import tqdm
 
 from beso.errors import UserError
 from pipeline import cluster
+from pipeline.guard import log_to_stderr
 from pipeline.machine import Machine, available_workers
-from pipeline.stage import log_to_stderr
 
 Result = TypeVar("Result")
 

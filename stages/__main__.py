@@ -6,7 +6,7 @@ import pkgutil
 import sys
 
 import stages
-from pipeline.stage import guard
+from pipeline.guard import guard
 
 
 def main(*arguments: str) -> None:

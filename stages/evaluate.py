@@ -12,8 +12,8 @@ from beso.files import replacing, write_text
 from pipeline import recipes
 from pipeline.film import FRAMES_PER_SECOND, write_film, write_video
 from pipeline.machine import Machine
-from pipeline.play import evaluation_jobs, play_all
 from pipeline.recipes import EvaluateRecipe
+from pipeline.rollouts import evaluation_jobs, play_all
 
 
 def main(env: str, method: str) -> None:

@@ -15,8 +15,8 @@ from beso.evaluation.rollout import EvaluationJob
 from beso.files import write_text
 from pipeline import recipes
 from pipeline.machine import Machine
-from pipeline.play import evaluation_jobs, play_all
 from pipeline.recipes import EvaluateRecipe, StudyRecipe
+from pipeline.rollouts import evaluation_jobs, play_all
 
 
 def main(name: str) -> None:

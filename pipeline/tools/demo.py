@@ -20,8 +20,8 @@ from beso.files import replacing
 from pipeline.film import FRAMES_PER_SECOND
 from pipeline.machine import Machine
 from pipeline.params import PATH, load
-from pipeline.play import evaluation_jobs
 from pipeline.pool import map_jobs
+from pipeline.rollouts import evaluation_jobs
 from stages.evaluate import film_episode
 
 HEIGHT = 180  # pixels of the moving picture

@@ -16,9 +16,9 @@ from beso.errors import UserError
 from beso.files import write_text
 from pipeline.machine import Machine
 from pipeline.params import PATH, load
-from pipeline.play import evaluation_jobs, play_all
 from pipeline.report.statistics import over_seeds
 from pipeline.report.tables import number
+from pipeline.rollouts import evaluation_jobs, play_all
 from pipeline.tools.train import finished
 from stages.evaluate import film_episode
 

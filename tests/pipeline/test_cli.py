@@ -12,7 +12,7 @@ import pytest
 
 from beso.files import write_text
 from pipeline import cli, scratch
-from pipeline.stage import guard
+from pipeline.guard import guard
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("torch", "numpy", "pandas", "dvc", "ruamel", "tqdm")

@@ -8,8 +8,7 @@ import pandas as pd
 import pytest
 
 from beso.envs.protocol import Outcome
-from pipeline import play as playing
-from pipeline import profile
+from pipeline import profile, rollouts
 from pipeline.machine import Machine
 from pipeline.report import figures
 from stages import evaluate
@@ -41,7 +40,7 @@ def smoke(monkeypatch, tmp_path):
     """Two models of two methods in CALVIN, five episodes with three tasks in chunks of two, in an empty folder."""
     smoke = profile.load("smoke")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(playing, "evaluate", played)
+    monkeypatch.setattr(rollouts, "evaluate", played)
     monkeypatch.setattr(evaluate, "write_film", lambda *arguments: None)
     room = smoke.environments["calvin"]
     config = dataclasses.replace(room.evaluation, rollouts=5, chunk=2, tasks=room.evaluation.tasks[:3])
@@ -111,7 +110,7 @@ def test_where_nothing_is_filmed_there_is_no_figure(smoke):
 
 def test_an_evaluation_that_lacks_episodes_writes_nothing(smoke, monkeypatch):
     cell = smoke.cells["calvin-gcbc"]
-    monkeypatch.setattr(playing, "evaluate", lambda *arguments, **named: played(*arguments, **named)[:-1])
+    monkeypatch.setattr(rollouts, "evaluate", lambda *arguments, **named: played(*arguments, **named)[:-1])
     with pytest.raises(RuntimeError, match=r"evaluate calvin gcbc: \d+ of 20 episodes were played"):
         play(cell)
     assert not cell.episodes.exists()
