@@ -233,8 +233,9 @@ def _study(name: str, layers: Layers, cells: dict[str, Cell], where: str) -> Stu
         raise UserError(f"{where}.rollouts = {entry.rollouts}: must be at most the evaluation's, {evaluation.rollouts}")
     whole, changes, samplings = dataclasses.asdict(cell.evaluate.sampling), [], []
     for combination in itertools.product(*entry.vary.values()):
-        changes.append(dict(zip(entry.vary, combination, strict=True)))
-        samplings.append(build(methods.sampling(entry.of), {**whole, **changes[-1]}, where))
+        varied = dict(zip(entry.vary, combination, strict=True))
+        samplings.append(build(methods.sampling(entry.of), whole | varied, where))
+        changes.append({name: getattr(samplings[-1], name) for name in varied})  # 1 is 1.0 where a decimal is wanted
         check_fit(cell.train.first.config.model, samplings[-1], where)
     evaluation = dataclasses.replace(evaluation, goals=goals, rollouts=entry.rollouts)
     return StudyRecipe(entry.env, entry.method, name, entry.of, seeds, tuple(changes), tuple(samplings), evaluation)

@@ -468,3 +468,10 @@ def test_every_whole_number_of_params_has_a_largest_value():
             numbers = value if isinstance(value, list) else [value]
             if "vary" not in key and any(type(number) is int for number in numbers):
                 assert key.rpartition(".")[2] in {*LARGEST, *unlimited}, key
+
+
+def test_a_whole_number_among_a_studys_decimals_is_the_decimal(values):
+    """The paper's number beside it is found by the value."""
+    values["studies"]["guidance_block_push"]["vary"]["guidance_scale"] = [0, 1, 1.5]
+    changes = params.parse(values, "p").studies["guidance_block_push"].changes
+    assert [repr(change["guidance_scale"]) for change in changes] == ["0.0", "1.0", "1.5"]
