@@ -109,14 +109,14 @@ def cli() -> None:
 @cli.command()
 @click.argument("cells", nargs=-1, metavar="[CELL]...")
 @path("--run", "reports/published/cpu", "An archived run.")
-@click.option("--episodes", type=COUNT, default=5, show_default=True, help="Of each policy.")
+@click.option("--episodes", type=COUNT, default=5, show_default=True, help="Episodes of each policy.")
 @path("--out", "demo", "Folder for the films.")
 @path("--picture", None, "File for all films side by side, an animated WebP.")
 def demo(cells: Sequence[str], run: Path, episodes: int, out: Path, picture: Path | None) -> None:
     """Watch archived policies, without training.
 
-    Each policy whose weights the run keeps plays some episodes. The first that reaches its goal is filmed. Without a
-    CELL, those with `film: true` are meant.
+    Each policy whose weights the run keeps plays some episodes. The first that reaches its goal is filmed. Default:
+    the cells with `film: true`.
     """
     from pipeline.tools.demo import demo
 
@@ -129,7 +129,7 @@ def demo(cells: Sequence[str], run: Path, episodes: int, out: Path, picture: Pat
 def run(stages: Sequence[str], jobs: int) -> None:
     """Bring stages up to date, several at a time.
 
-    As `dvc repro` does one after another: these stages and what they need; without a STAGE, all.
+    It runs these stages and what they need, as `dvc repro` does one at a time. Default: all.
     """
     from pipeline.run import run
 
@@ -156,13 +156,14 @@ def check() -> None:
 
 @cli.command()
 @click.argument("cells", nargs=-1, metavar="[CELL]...")
-@seeds("Of params.yaml")
-@click.option("--hours", type=float, default=float("inf"), help="Stop then; the same command continues.")
+@seeds("A seed of params.yaml")
+@click.option("--hours", type=float, default=float("inf"), help="Stop after so many hours. The same command continues.")
 @path("--out", "trained", "Folder of models, states and curves.")
 def train(cells: Sequence[str], seeds: Sequence[int], hours: float, out: Path) -> None:
     """Train cells into a folder, without DVC or a simulator.
 
-    Without a CELL, all of params.yaml are meant. Play data come from `beso run collect` (or `features`).
+    Default: all cells of params.yaml. The play data come from `beso run collect` (where policies see images,
+    `beso run features`).
     """
     from pipeline.tools.train import train_cells
 
@@ -172,10 +173,10 @@ def train(cells: Sequence[str], seeds: Sequence[int], hours: float, out: Path) -
 @cli.command()
 @CELL
 @path("--models", "models", "Folder of a run's models, or of `beso train`'s.")
-@seeds("Trained model")
-@path("--rows", None, "File for the episodes, a row each (CSV).")
+@seeds("Seed of a trained model")
+@path("--rows", None, "CSV file to write, a row for each episode.")
 def evaluate(cell: str, models: Path, seeds: Sequence[int], rows: Path | None) -> None:
-    """Play the evaluation's episodes and print means.
+    """Play the evaluation's episodes and print mean scores.
 
     The episodes come from `beso run trials`.
     """
@@ -188,7 +189,7 @@ def evaluate(cell: str, models: Path, seeds: Sequence[int], rows: Path | None) -
 @CELL
 @path("--models", None, "Folder of models, as `beso evaluate` takes it. Default: the run's.")
 @click.option("--seed", type=int, default=1, show_default=True, help="The trained model.")
-@click.option("--episode", type=click.IntRange(min=0), default=0, show_default=True, help="Its number.")
+@click.option("--episode", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the episode.")
 @path("--run", ".", "A run's folder, like reports/published/cpu. Default: this one.")
 @path("--film", "watch.webm", "File to write.")
 def watch(cell: str, models: Path | None, seed: int, episode: int, run: Path, film: Path) -> None:
@@ -204,8 +205,8 @@ def watch(cell: str, models: Path | None, seed: int, episode: int, run: Path, fi
 def spec(folder: Path, seed: int) -> None:
     """Print what a trained policy takes and gives.
 
-    FOLDER is the policy's, like models/block_push/c_beso: sizes, order and units of its observations, goals, actions,
-    and how it is sampled.
+    Sizes, order and units of observations, goals and actions, and how actions are sampled. FOLDER is a trained cell's,
+    like models/block_push/c_beso.
     """
     from beso.policy import Policy
 
@@ -217,7 +218,7 @@ def spec(folder: Path, seed: int) -> None:
 @click.argument("b", type=Run())
 @click.option("--markdown", is_flag=True, help="Print a Markdown table.")
 def compare(a: str, b: str, markdown: bool) -> None:
-    """Whether run B's results differ from run A's by more than chance.
+    """Test whether run B's results differ from run A's.
 
     A run is a folder (`.`, reports/published/cpu), a git revision (HEAD), or a folder in a revision (HEAD:FOLDER).
     """
@@ -233,8 +234,8 @@ def compare(a: str, b: str, markdown: bool) -> None:
 def publish(names: Sequence[str], weights: Sequence[str], drop: Sequence[str]) -> None:
     """Archive what is finished in reports/published/PROFILE.
 
-    A NAME is a stage (evaluate@block_push-c_beso) or an environment, which stands for its cells and studies. Without
-    one, all that is finished is meant.
+    A NAME is a stage (evaluate@block_push-c_beso) or an environment, which stands for its cells and studies. Default:
+    all that is finished.
     """
     from pipeline.tools.publish import publish
 
@@ -246,7 +247,7 @@ def publish(names: Sequence[str], weights: Sequence[str], drop: Sequence[str]) -
 def import_(folder: Path) -> None:
     """Take trained models instead of training them here.
 
-    FOLDER is that of `beso train`, another run, or an archive.
+    FOLDER is the output of `beso train`, another run, or an archive.
     """
     from pipeline.tools.import_cells import import_cells
 
@@ -256,14 +257,20 @@ def import_(folder: Path) -> None:
 @cli.command()
 @click.argument("env")
 @click.option(
-    "--format", "form", type=click.Choice(["minari", "lerobot", "official"]), default="minari", show_default=True
+    "--format",
+    "form",
+    type=click.Choice(["minari", "lerobot", "official"]),
+    default="minari",
+    show_default=True,
+    help="official is CALVIN's own layout.",
 )
 @path("--out", "exported", "Folder for the dataset.")
 def export(env: str, form: str, out: Path) -> None:
-    """Write an environment's play as a Minari or LeRobot dataset.
+    """Write an environment's play as a dataset for other tools.
 
-    The play comes from `beso run collect` (or `features`). LeRobot's form and the official one hold pictures:
-    environments whose policies see states have neither. `environments.ENV.collect.folder` takes what is written.
+    The play comes from `beso run collect` (where policies see images, a Minari dataset comes from `beso run features`).
+    The formats lerobot and official hold pictures, so they need an environment whose policies see images.
+    `environments.ENV.collect.folder` takes what is written.
     """
     from pipeline.tools.export import export
 
@@ -285,7 +292,7 @@ def lock() -> None:
 def readme() -> None:
     """Renew the table of results in README.md.
 
-    From reports/ and the archives in reports/published.
+    The numbers come from reports/ and the archives in reports/published.
     """
     from pipeline.tools.readme import renew
 
@@ -303,15 +310,16 @@ def goal_use(cell: str) -> None:
 
 @cli.command()
 @CELL
-@click.option("--steps", type=COUNT, default=200_000, show_default=True, help="Of play.")
-@click.option("--updates", type=COUNT, help="Of the training. Default: the recipe's.")
-@click.option("--trials", type=COUNT, default=104, show_default=True, help="For each goal set.")
-@click.option("--seed", default=77, show_default=True, help="Of the trials, not those that are reported.")
-@path("--folder", "states", "Of play and models.")
+@click.option("--steps", type=COUNT, default=200_000, show_default=True, help="Steps of play to record.")
+@click.option("--updates", type=COUNT, help="Training updates. Default: the cell's.")
+@click.option("--trials", type=COUNT, default=104, show_default=True, help="Episodes of each goal set.")
+@click.option("--seed", default=77, show_default=True, help="Of the episodes; reported results have another.")
+@path("--folder", "states", "Folder for play and models.")
 def states(cell: str, steps: int, updates: int | None, trials: int, seed: int, folder: Path) -> None:
-    """Judge play and a recipe on the simulator's states.
+    """Train and evaluate a cell on the simulator's states.
 
-    For environments whose policies see images.
+    It tells what an environment's play and a cell's parameters can teach without pictures and an encoder. For
+    environments whose policies see images.
     """
     from pipeline.tools.states import judge
 
@@ -325,9 +333,9 @@ def bench() -> None:
 
 @bench.command("policy")
 @CELL
-@path("--published", None, "A checkout of the published code, to measure beside it.")
+@path("--published", None, "A checkout of the published code, measured as well.")
 def bench_policy(cell: str, published: Path | None) -> None:
-    """Calls, rollouts and memory of a policy of the paper's size.
+    """Measure calls, rollouts and memory at the paper's size.
 
     It needs the play data: `beso run collect`.
     """
@@ -342,11 +350,11 @@ def bench_policy(cell: str, published: Path | None) -> None:
 @click.option(
     "--precision", type=click.Choice(["fp32", "bf16"]), multiple=True, default=["fp32", "bf16"], help="Default: both."
 )
-@click.option("--seconds", type=float, default=2.0, show_default=True, help="A measurement takes about so long.")
+@click.option("--seconds", type=float, default=2.0, show_default=True, help="Length of a measurement, about.")
 def bench_training(
     cells: Sequence[str], seeds_together: Sequence[int], precision: Sequence[Any], seconds: float
 ) -> None:
-    """Updates a second of cells, as params.yaml has them."""
+    """Measure updates a second of cells, as params.yaml has them."""
     from pipeline.tools.bench_training import bench
 
     bench(cells, seeds_together, precision, seconds)
