@@ -109,9 +109,10 @@ def _merged(name: str, extending: tuple[str, ...]) -> tuple[dict[str, Any], dict
 
 
 @functools.cache
-def _complete() -> dict[str, Any]:
-    """The values of profile paper, by dotted keys."""
-    return dict(leaves(_merged(COMPLETE, ())[0]))
+def _complete() -> tuple[dict[str, Any], dict[Key, Comment]]:
+    """The values of profile paper, by dotted keys, and its comments."""
+    values, comments = _merged(COMPLETE, ())
+    return dict(leaves(values)), comments
 
 
 def _join(values: dict[str, Any], part: dict[str, Any], where: str) -> None:
@@ -141,10 +142,13 @@ def _change(
             for special in _special(values, key):
                 _remove(values, special)
             if inner.get(name, value) != value:
+                papers, comments = _complete()
+                before, whose = inner[name], base
                 above, note = notes.get(key, Comment("", ""))
-                if " in profile " not in note:
-                    whose = COMPLETE if _complete().get(".".join(key)) == inner[name] else base
-                    note = f"{_text(inner[name])} in profile {whose}" + (f"; {note}" if note else "")
+                if (dotted := ".".join(key)) in papers:
+                    before, whose, (above, note) = papers[dotted], COMPLETE, comments.get(key, Comment("", ""))
+                if before != value and " in profile " not in note:
+                    note = f"{_text(before)} in profile {whose}" + (f"; {note}" if note else "")
                 notes[key] = Comment(above, note)
             inner[name] = value
 

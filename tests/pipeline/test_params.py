@@ -44,6 +44,7 @@ def test_profiles_keep_the_comments_and_name_the_values_that_they_change():
     assert "every: 1000 # 2000 in profile paper; steps" in profile.render("cpu")
     assert "every: 250 # 2000 in profile paper; steps" in profile.render("quick")
     assert "learning_rate: 0.002 # 0.0015 in profile cpu\n" in profile.render("quick")  # paper has none there
+    assert "window: 16 # [T]\n" in profile.render("quick")  # as in paper, and not in cpu
 
 
 def test_paper_profile_has_the_papers_numbers():
