@@ -38,7 +38,7 @@ def results(params: Params, runs: Mapping[str, pd.DataFrame]) -> str:
         measured = of_env[of_env["metric"] == metric.name]
         for goals in measured["goals"].unique():
             which = f", {room.GOAL_LABELS[goals]}" if measured["goals"].nunique() > 1 else ""
-            label = f"{room.LABEL}{which}, {metric.label.lower()} of {metric.maximum:g}"
+            label = f"{room.LABEL}{which}, {metric.label.lower()} (at most {metric.maximum:g})"
             numbers = {"paper": measured[measured["goals"] == goals].assign(shown=measured["paper"])}
             for name, run in runs.items():
                 at = (run["environment"] == env) & (run["metric"] == metric.name) & (run["goals"] == goals)
