@@ -28,9 +28,15 @@ def main(env: str) -> None:
 
 def collect(recipe: EnvironmentRecipe, machine: Machine) -> None:
     """Make or import the play of one environment and write it; where it was made here, with a film of some."""
-    {"play": collect_play, "raw": collect_raw}[recipe.settings.to](recipe, machine)
+    waiting = None
+    if recipe.settings.to == "play":
+        collect_play(recipe, machine)
+    else:
+        waiting = collect_raw(recipe, machine)
     against = "" if recipe.settings.source == "scripted" else "its play was recorded elsewhere"
     write_film(paths.film_of_play(recipe.env), film_play, (recipe,), against)
+    if waiting:
+        shutil.rmtree(waiting)
 
 
 def collect_play(recipe: EnvironmentRecipe, machine: Machine) -> None:
@@ -50,15 +56,15 @@ def collect_play(recipe: EnvironmentRecipe, machine: Machine) -> None:
     print(f"{len(dataset)} demonstrations, {dataset.lengths.mean():.1f} steps on average")
 
 
-def collect_raw(recipe: EnvironmentRecipe, machine: Machine) -> None:
-    """Write raw play. Recorded episodes wait in the scratch folder until all are there."""
+def collect_raw(recipe: EnvironmentRecipe, machine: Machine) -> Path | None:
+    """Write raw play; the scratch folder of the recorded episodes, which can be removed when the stage is done."""
     settings, room = recipe.settings, envs.recording(recipe.env)
     assert settings.camera is not None  # checked with the parameters
     size, length, target = settings.camera.size, settings.camera.length, paths.raw(recipe.env)
     if settings.source == "published":
         workers = machine.workers or available_workers()
         room.convert(from_home(settings.folder or ""), target, size, workers)
-        return
+        return None
     waiting = scratch.folder("collect", recipe.env, dataclasses.asdict(settings), recipe.seed)
     parts: list[Path] = []
     steps, wanted = 0, settings.demonstrations * length
@@ -68,8 +74,8 @@ def collect_raw(recipe: EnvironmentRecipe, machine: Machine) -> None:
         steps += sum(map_jobs(room.record, jobs, machine, f"collect {recipe.env}"))
         parts += [job[-1] for job in jobs]
     room.join(parts, target, recipe.seed)
-    shutil.rmtree(waiting)
     print(f"{len(parts)} episodes, {steps} steps")
+    return waiting
 
 
 def film_play(recipe: EnvironmentRecipe, path: Path) -> dict[str, Any]:

@@ -116,8 +116,8 @@ def test_more_episodes_are_recorded_where_some_end_early(monkeypatch):
     assert raw.load(paths.raw("calvin")).episode_ends.tolist() == [12, 19, 31, 43, 55]
 
 
-def test_an_interrupted_recording_keeps_its_whole_episodes(recorded, monkeypatch):
-    record, played = recording.scripted.record, []
+def test_an_interruption_of_recording_or_filming_keeps_whole_episodes(recorded, monkeypatch):
+    record, played, filmed = recording.scripted.record, [], []
 
     def interrupted(seed, index, length, size):
         played.append(index)
@@ -125,11 +125,18 @@ def test_an_interrupted_recording_keeps_its_whole_episodes(recorded, monkeypatch
             raise KeyboardInterrupt
         return record(seed, index, length, size)
 
+    def film(*_):
+        filmed.append(len(played))
+        if len(filmed) == 1:
+            raise KeyboardInterrupt
+
     monkeypatch.setattr(recording.scripted, "record", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        make_raw()
+    monkeypatch.setattr("stages.collect.write_film", film)
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            make_raw()
     make_raw()
-    assert played == [0, 1, 2, 2, 3]
+    assert (played, filmed) == ([0, 1, 2, 2, 3], [5, 5])
     assert contents(paths.raw("calvin")) == contents(recorded)
     assert list(paths.SCRATCH.iterdir()) == []
 
