@@ -3,8 +3,9 @@
 A NAME is a stage (`evaluate@block_push-c_beso`, `study@noise_block_push`, `fork`) or an environment, which stands for
 its finished cells and studies; without any, everything finished is meant: what DVC would not run again. What the
 archive has of other cells stays, if it was made with the same parameters and data, so that a long run can be archived
-in several sittings. Then tables, comparison, metrics and figures are made from all that the archive has, as the stage
-`tables` makes them.
+in several sittings. Features that another processor made are the same data (`TOLERANCE` of pipeline.tools.archive); the
+archive keeps its own sample, encoder and digest of them. Then tables, comparison, metrics and figures are made from all
+that the archive has, as the stage `tables` makes them.
 
 The folder is laid out as the repository, the report's files at its top. Beside the rows of each cell and study lies a
 record, `<name>.json`: its parameters, the digest of the play data, versions. Of play data there is a summary, of trials
@@ -36,7 +37,17 @@ from pipeline.params import PATH, Params, load
 from pipeline.report.gather import SUMMARY, summary, write_tables
 from pipeline.report.page import versions
 from pipeline.run import plan
-from pipeline.tools.archive import SAMPLE, Part, check, held, parts, restricted, write_evaluation, write_sample
+from pipeline.tools.archive import (
+    SAMPLE,
+    Part,
+    check,
+    held,
+    parts,
+    restricted,
+    same_features,
+    write_evaluation,
+    write_sample,
+)
 
 FOLDER = paths.REPORTS / "published"
 LARGEST = 2_000_000  # bytes of a file of weights: git keeps every version for ever
@@ -142,8 +153,11 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
         UserError: what the archive has is of other parameters or data, or not whole.
     """
     shown = restricted(params, there)
-    renewed = dict.fromkeys(part.env for part in new if part.env)
-    digests = {env: play.data_digest(play.load(paths.play(env), envs.spec(env))) for env in renewed}
+    datasets = {env: play.load(paths.play(env), envs.spec(env)) for env in dict.fromkeys(p.env for p in new) if env}
+    own = {env: play.data_digest(dataset) for env, dataset in datasets.items()}
+    stay = own.keys() & {part.env for part in there if part not in new}
+    theirs = {env: same_features(datasets[env], folder / paths.play(env) / SAMPLE) for env in stay}
+    digests = {env: theirs.get(env) or digest for env, digest in own.items()}
     for part in there:
         if part not in new:
             data = {"data": digests[part.env]} if part.env in digests else {}
@@ -160,12 +174,16 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
                 _copy([*files(part), part.record, *kept], folder, temporary)
                 continue
             _copy(files(part), Path(), temporary)
+            if cell and digests[cell.env] != own[cell.env]:
+                for seed in cell.train.seeds:
+                    description = temporary / checkpoint.paths(cell.models, seed)[1]
+                    write_json(description, read_json(description) | {"data": digests[cell.env]})
             record = {"parameters": part.parameters, "data": digests.get(part.env), "versions": versions()}
             write_json(temporary / part.record, record)
             for path in weights(part) if part.cell and part.cell.method in weights_of else kept:
                 halve(path, temporary / path)
         for environment in shown.envs:
-            if environment in renewed:
+            if environment in own and digests[environment] == own[environment]:
                 add_environment(params, environment, temporary)
             else:
                 _copy([path for path in shared(environment) if (folder / path).exists()], folder, temporary)

@@ -283,7 +283,19 @@ def test_policies_that_see_pictures_are_taken_where_features_differ_in_last_bits
     train_cell(cell.train, Machine.load())
     evaluate_cell(cell.evaluate, Machine.load())  # refuses models of other play data
 
+    # Archived again, beside cells of the archive's own features.
+    monkeypatch.setattr(publish, "plan", lambda _: {})
+    monkeypatch.setattr(figures, "save", lambda *_: None)
+    before = contents(Path(ARCHIVE))
+    publish.publish(["evaluate@calvin-c_beso"], ["c_beso"], [])
+    after = contents(Path(ARCHIVE))
+    kept = [name for name in before if name.parts[0] in ("data", "results", "models") and "c_beso" not in name.name]
+    assert [name for name in kept if after[name] != before[name]] == []
+    assert "calvin-c_beso: all seeds; run" in told()[-1]
+
     play_data = play.load(cell.play, envs.spec("calvin"))
     features = play_data.observations * np.linspace(1, 1.5, len(play_data.observations), dtype=np.float32)[:, None]
     play.save(replace(play_data, observations=features), cell.play)
     assert told()[-1] == "calvin-c_beso: dvc repro would train seeds 1 here"
+    told_other = refused(workspace, monkeypatch, "evaluate@calvin-c_beso")
+    assert told_other.startswith(f"{ARCHIVE} has evaluate@calvin-gcbc of other data")
