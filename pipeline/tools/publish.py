@@ -102,9 +102,14 @@ def add_environment(params: Params, environment: str, folder: Path) -> None:
     if environment in params.images:
         write_sample(play.load(paths.play(environment), envs.spec(environment), verify=False), target / SAMPLE)
         _copy([paths.samples(environment), paths.probe(environment)], Path(), folder)
-        halve(paths.play(environment) / encoder.WEIGHTS, target / encoder.WEIGHTS)
-        description = read_json(paths.play(environment) / encoder.DESCRIPTION)
-        write_json(target / encoder.DESCRIPTION, description | {"sha256": sha256(target / encoder.WEIGHTS)})
+        add_encoder(paths.play(environment), folder)
+
+
+def add_encoder(place: Path, folder: Path) -> None:
+    """Write the encoder of a folder of play data into an archive's folder, its weights in half precision."""
+    halve(place / encoder.WEIGHTS, folder / place / encoder.WEIGHTS)
+    description = read_json(place / encoder.DESCRIPTION) | {"sha256": sha256(folder / place / encoder.WEIGHTS)}
+    write_json(folder / place / encoder.DESCRIPTION, description)
 
 
 def halve(path: Path, target: Path) -> None:
@@ -185,8 +190,10 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
         for environment in shown.envs:
             if environment in own and digests[environment] == own[environment]:
                 add_environment(params, environment, temporary)
-            else:
-                _copy([path for path in shared(environment) if (folder / path).exists()], folder, temporary)
+                continue
+            _copy([path for path in shared(environment) if (folder / path).exists()], folder, temporary)
+            if environment in own and not (temporary / paths.play(environment) / encoder.WEIGHTS).is_file():
+                add_encoder(paths.play(environment), temporary)  # no policy of the archive needed it yet
         limit_weights(temporary)
         _copy([PATH], Path(), temporary)
         write_tables(shown, temporary, temporary)
