@@ -163,6 +163,7 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
     stay = own.keys() & {part.env for part in there if part not in new}
     theirs = {env: same_features(datasets[env], folder / paths.play(env) / SAMPLE) for env in stay}
     digests = {env: theirs.get(env) or digest for env, digest in own.items()}
+    foreign = {env for env in own if digests[env] != own[env]}  # whose features the archive has of another processor
     for part in there:
         if part not in new:
             data = {"data": digests[part.env]} if part.env in digests else {}
@@ -179,7 +180,7 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
                 _copy([*files(part), part.record, *kept], folder, temporary)
                 continue
             _copy(files(part), Path(), temporary)
-            if cell and digests[cell.env] != own[cell.env]:
+            if cell and cell.env in foreign:
                 for seed in cell.train.seeds:
                     description = temporary / checkpoint.paths(cell.models, seed)[1]
                     write_json(description, read_json(description) | {"data": digests[cell.env]})
@@ -188,11 +189,11 @@ def write(folder: Path, params: Params, there: list[Part], new: list[Part], weig
             for path in weights(part) if part.cell and part.cell.method in weights_of else kept:
                 halve(path, temporary / path)
         for environment in shown.envs:
-            if environment in own and digests[environment] == own[environment]:
+            if environment in own.keys() - foreign:
                 add_environment(params, environment, temporary)
                 continue
             _copy([path for path in shared(environment) if (folder / path).exists()], folder, temporary)
-            if environment in own and not (temporary / paths.play(environment) / encoder.WEIGHTS).is_file():
+            if environment in foreign and not (temporary / paths.play(environment) / encoder.WEIGHTS).is_file():
                 add_encoder(paths.play(environment), temporary)  # no policy of the archive needed it yet
         limit_weights(temporary)
         _copy([PATH], Path(), temporary)

@@ -292,6 +292,10 @@ def test_policies_that_see_pictures_are_taken_where_features_differ_in_last_bits
     kept = [name for name in before if name.parts[0] in ("data", "results", "models") and "c_beso" not in name.name]
     assert [name for name in kept if after[name] != before[name]] == []
     assert "calvin-c_beso: all seeds; run" in told()[-1]
+    for name in (ENCODER, "models/calvin/c_beso/seed1.safetensors"):  # as an archive that keeps no weights
+        (Path(ARCHIVE) / name).unlink()
+    publish.publish(["evaluate@calvin-c_beso"], ["c_beso"], [])
+    assert contents(Path(ARCHIVE)) == after
 
     play_data = play.load(cell.play, envs.spec("calvin"))
     features = play_data.observations * np.linspace(1, 1.5, len(play_data.observations), dtype=np.float32)[:, None]
