@@ -85,7 +85,8 @@ class BatchPolicy:
         self.observations = torch.cat([self.observations, current[:, None]], dim=1)[:, -self.window :]
         if self.actions is None:
             self.actions = current.new_empty(len(current), 0, len(self.scaling.action_low))
-        action = self.method.act(self.observations, self.actions, self.goal, noise, self.memory).clamp(-CLIP, CLIP)
+        goal = self.scaling.seen_goals(self.goal, self.observations)
+        action = self.method.act(self.observations, self.actions, goal, noise, self.memory).clamp(-CLIP, CLIP)
         history = torch.cat([self.actions, action[:, None]], dim=1)
         self.actions = history[:, max(0, history.shape[1] - (self.window - 1)) :]
         raw_actions = self.scaling.raw_actions(action).cpu().numpy()

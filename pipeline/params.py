@@ -181,6 +181,7 @@ def _cell(entry: CellEntry, environment: EnvironmentParams, inheritance: Inherit
         validation=training.validation,
         train_fraction=training.train_fraction,
         goal_horizon=training.goal_horizon,
+        relative_goals=training.relative_goals,
         root_seed=file.seed,
         seed=seeds[0],
     )

@@ -132,11 +132,13 @@ class Training:
     Attributes:
         train_fraction: share of the demonstrations; the rest is held out.
         goal_horizon: the largest number of steps from a training window to its goal; null is the demonstration's rest.
+        relative_goals: policies get goals less the state, what is still to change.
         validation: measurements of the held-out loss.
     """
 
     train_fraction: float
     goal_horizon: int | None
+    relative_goals: bool
     validation: ValidationConfig
 
     def __post_init__(self) -> None:

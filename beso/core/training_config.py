@@ -85,6 +85,7 @@ class TrainingJob:
         validation: held-out measurements.
         train_fraction: share of the episodes used for training.
         goal_horizon: the largest number of steps from a window to its goal; None is the rest of the episode.
+        relative_goals: policies get goals less the first state of their context.
         root_seed, seed: the project's seed and this model's number.
     """
 
@@ -93,6 +94,7 @@ class TrainingJob:
     validation: ValidationConfig
     train_fraction: float
     goal_horizon: int | None
+    relative_goals: bool
     root_seed: int
     seed: int
 

@@ -3,6 +3,8 @@
 Observations and goals are z-scored per dimension; actions are mapped to [-1, 1] by their range (paper, appendix
 "Normalization"). Statistics come from the training episodes alone. Features of an encoder that is trained with the
 policy have none; they come scaled (beso.encoders.finetuned).
+
+Policies get goals as they are, or relative to the state: what is still to change.
 """
 
 import math
@@ -31,6 +33,7 @@ class Scaling:
     action_low: tuple[float, ...]
     action_high: tuple[float, ...]
     observation_size: int | None = None  # of raw observations; models of earlier versions do not tell
+    relative_goals: bool = False
 
     def __post_init__(self) -> None:
         visible, width = self.visible, self.observation_size
@@ -43,7 +46,7 @@ class Scaling:
         require(all(low < high for low, high in bounds), "action_low must be below action_high")
 
     @classmethod
-    def fit(cls, dataset: PlayDataset, episodes: np.ndarray, spec: PlaySpec) -> "Scaling":
+    def fit(cls, dataset: PlayDataset, episodes: np.ndarray, spec: PlaySpec, relative_goals: bool = False) -> "Scaling":
         """Statistics over all steps of `episodes`."""
         chosen = np.zeros(len(dataset), dtype=bool)
         chosen[episodes] = True
@@ -62,6 +65,7 @@ class Scaling:
             action_low=tuple(actions.min(axis=0).tolist()),
             action_high=tuple((actions.min(axis=0) + np.where(span > 0, span, 1.0)).tolist()),
             observation_size=spec.observation_size,
+            relative_goals=relative_goals,
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -81,6 +85,10 @@ class Scaling:
         keep = torch.ones(len(self.visible), dtype=scaled.dtype, device=scaled.device)
         keep[list(self.goal_masked)] = 0
         return scaled * keep
+
+    def seen_goals(self, goals: Tensor, states: Tensor) -> Tensor:
+        """Scaled goals (B, G, visible) as policies get them: relative to the first of (B, T, visible), if they are."""
+        return self.mask_goals(goals - states[:, :1]) if self.relative_goals else goals
 
     def scale_actions(self, raw: Tensor) -> Tensor:
         """(..., action_size) raw -> [-1, 1]."""

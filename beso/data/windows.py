@@ -35,11 +35,11 @@ class Batch(NamedTuple):
 
     Attributes:
         observations, actions: (B, W, O) and (B, W, A).
-        goal: (B, G, O), masked dimensions zero.
+        goal: (B, G, O), masked dimensions zero; less the window's first state where goals are relative.
         future: (B, L, O) the states after the window, not masked.
         goal_step: (B,) steps from the window's last state to the goal's first.
 
-    A dataset of frames has numbers of steps in place of states, so O is 1.
+    A dataset of frames has numbers of steps in place of states, so O is 1, and goals are not relative yet.
     """
 
     observations: Tensor
@@ -103,7 +103,8 @@ class Windows:
             last_states = np.arange(room.sum()) + first_of_episode + window - 1
             last_goals = np.minimum(last_goals, last_states + config.goal_horizon)
         self._last_goals = torch.from_numpy(last_goals).to(device)
-        if dataset.frame_size is None:
+        self._scaling = scaling if dataset.frame_size is None else None
+        if self._scaling:
             self._observations = scaling.scale_observations(torch.from_numpy(np.array(dataset.observations))).to(device)
             self._goals = scaling.mask_goals(self._observations)
         else:  # frames would not fit; what encodes them reads those of a batch
@@ -143,10 +144,11 @@ class Windows:
         start, goal, last_step = self.indices(size, generator)
         steps = start[:, None] + self._steps
         future = torch.minimum(start[:, None] + self._future_steps, last_step[:, None])
+        observations, goals = self._observations[steps], self._goals[goal[:, None] + self._goal_steps]
         return Batch(
-            self._observations[steps],
+            observations,
             self._actions[steps],
-            self._goals[goal[:, None] + self._goal_steps],
+            self._scaling.seen_goals(goals, observations) if self._scaling else goals,
             self._observations[future],
             goal - (start + self.config.window - 1),
         )

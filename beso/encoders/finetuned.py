@@ -32,6 +32,7 @@ from beso.files import read_json
 
 if TYPE_CHECKING:
     from beso.data.play import PlayDataset
+    from beso.data.scaling import Scaling
     from beso.data.windows import Batch
 
 PART: Final = 128  # pictures encoded at a time without gradients: memory
@@ -60,6 +61,7 @@ class Finetuned(nn.Module):
         shift: the largest random shift, pixels.
         read: the frames (M, H, W, 3) uint8 of some steps (M,).
         statistics: steps on whose frames batch normalisation is measured.
+        scaling: tells whether goals are relative.
     """
 
     def __init__(
@@ -70,11 +72,12 @@ class Finetuned(nn.Module):
         shift: int,
         read: Callable[[np.ndarray], np.ndarray],
         statistics: np.ndarray,
+        scaling: Scaling,
     ) -> None:
         super().__init__()
         self.policy, self.encoder = policy, Normalised(network)
         self.encoding, self.shift = encoding, shift
-        self._read, self._statistics = read, statistics
+        self._read, self._statistics, self._scaling = read, statistics, scaling
         self._norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
         for norm in self._norms:
             norm.momentum = None  # of all batches since a reset, each counts the same
@@ -103,9 +106,8 @@ class Finetuned(nn.Module):
         if future.numel():
             with torch.no_grad():
                 future = self._encode(future[..., 0], shifts)
-        return self.policy.loss(
-            batch._replace(observations=seen[:, :window], goal=seen[:, window:], future=future), generator
-        )
+        states, goal = seen[:, :window], self._scaling.seen_goals(seen[:, window:], seen)
+        return self.policy.loss(batch._replace(observations=states, goal=goal, future=future), generator)
 
     def _encode(self, steps: Tensor, shifts: Tensor) -> Tensor:
         """Features (B, T, 512) of the frames of some steps (B, T), each sample's shifted by its own (B, 2) pixels.
@@ -142,7 +144,7 @@ class Finetuned(nn.Module):
             norm.eval()
 
 
-def join(policy: Any, folder: Path, dataset: PlayDataset, episodes: np.ndarray) -> Finetuned:
+def join(policy: Any, folder: Path, dataset: PlayDataset, episodes: np.ndarray, scaling: Scaling) -> Finetuned:
     """A policy with the encoder in a folder, for training on some episodes of a dataset of frames.
 
     Raises:
@@ -159,7 +161,7 @@ def join(policy: Any, folder: Path, dataset: PlayDataset, episodes: np.ndarray) 
     def read(rows: np.ndarray) -> np.ndarray:  # a function, as copies of the model must not copy a map of all frames
         return np.asarray(dataset.observations[rows])
 
-    return Finetuned(policy, start.network, start.encoding, shift, read, spread)
+    return Finetuned(policy, start.network, start.encoding, shift, read, spread, scaling)
 
 
 def modules(policy: nn.Module, encoding: Encoding) -> nn.ModuleDict:

@@ -6,8 +6,7 @@ A causal transformer over one sequence. Sequential conditioning puts the goal in
 
 and reads the prediction for action t off its own token, which sees sigma, all goals, the states up to t and the noisy
 actions up to t. FiLM conditioning (Perez et al. 2018) drops the goal tokens; a small network a block turns the goal
-into a scale and a shift of the two normalised inputs instead. That network does not see the state; with "film_change"
-it gets what is to change, g - s_1, in place of g.
+into a scale and a shift of the two normalised inputs instead. That network does not see the state.
 
 States and goals share one embedding; s_t and a_t share one position; the sigma token has none.
 """
@@ -32,7 +31,7 @@ class TransformerConfig:
         layers, heads: number of blocks and of attention heads.
         window: largest number of time steps T.
         attention_dropout, residual_dropout: rates.
-        conditioning: "sequential" (goal tokens), "film", or "film_change", FiLM of g - s_1.
+        conditioning: "sequential" (goal tokens) or "film".
     """
 
     width: int
@@ -41,7 +40,7 @@ class TransformerConfig:
     window: int
     attention_dropout: float
     residual_dropout: float
-    conditioning: Literal["sequential", "film", "film_change"]
+    conditioning: Literal["sequential", "film"]
 
     def __post_init__(self) -> None:
         require_positive(self, "width", "layers", "heads", "window")
@@ -69,8 +68,7 @@ class ScoreTransformer(nn.Module):
         generator: torch.Generator,
     ) -> None:
         super().__init__()
-        film = config.conditioning != "sequential"
-        self.change = config.conditioning == "film_change"
+        film = config.conditioning == "film"
         self.goal_tokens = 0 if film else goal_window
         self.embed_state = nn.Linear(observation_size, config.width)
         self.embed_action = nn.Linear(action_size, config.width)
@@ -120,7 +118,7 @@ class ScoreTransformer(nn.Module):
             tokens.insert(1, self.embed_state(goal) + position[:, :goals])
         x = torch.cat(tokens, dim=1)
         mask = self.mask[: x.shape[1], : x.shape[1]]
-        condition = None if goals else (goal - observations[:, :1] if self.change else goal).flatten(1)
+        condition = None if goals else goal.flatten(1)
         *earlier, last = self.blocks
         for block in earlier:
             x = block(x, mask, generator, condition)

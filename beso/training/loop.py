@@ -63,7 +63,7 @@ class Training:
         optimization, model = job.config.optimization, job.config.model
         self._precision = pick_precision(optimization.precision, device)
         training_episodes, held_out_episodes = job.split(len(dataset))
-        self.scaling = Scaling.fit(dataset, training_episodes, spec)
+        self.scaling = Scaling.fit(dataset, training_episodes, spec, job.relative_goals)
         config = WindowConfig(
             window=model.window,
             goal_window=spec.goal_window,
@@ -81,7 +81,7 @@ class Training:
         self.encoding = None
         if dataset.frame_size is not None:
             assert encoder is not None
-            method = finetuned.join(method, encoder, dataset, training_episodes)
+            method = finetuned.join(method, encoder, dataset, training_episodes, self.scaling)
             self.encoding = method.encoding
         self.method = method.to(device).train()
         if teacher is not None:

@@ -72,7 +72,8 @@ def errors(
     def error(goal: torch.Tensor) -> float:
         draws.set_state(start)
         with torch.inference_mode():
-            acted = policy.act(observations, actions[:, :-1], goal, BatchNoise(len(now), draws), {})
+            seen = scaling.seen_goals(goal, observations)
+            acted = policy.act(observations, actions[:, :-1], seen, BatchNoise(len(now), draws), {})
         return (acted - actions[:, -1]).square().mean().item()
 
     return error(goals), error(goals.roll(each, dims=0))

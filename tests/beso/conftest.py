@@ -54,7 +54,7 @@ MODELS = {
         "null_goal": "learned",
     },
     "c_ibc": {"width": 32, "layers": 2, "counter_examples": 8, "energy_penalty": 0.005, "gradient_penalty": 1.0},
-    "ril": {"width": 32, "layers": 2, "horizon": 4},
+    "ril": {"width": 32, "layers": 2, "horizon": 4, "relative_sub_goals": False},
     "lmp": {
         "window": 4,
         "plan": 4,
@@ -188,6 +188,7 @@ def make_job(small_models):
             validation=ValidationConfig(every, windows=6),
             train_fraction=0.7,
             goal_horizon=None,
+            relative_goals=False,
             root_seed=0,
             seed=seed,
         )

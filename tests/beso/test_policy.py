@@ -1,7 +1,7 @@
 """Whatever is handed to a policy, it acts in finite numbers or says in one line why it cannot."""
 
 import logging
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -66,6 +66,28 @@ def test_numbers_that_would_overflow_are_named():
     for value in ([0.0, -3.4e37, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1e10, 0.0, 0.0]):
         _, message = attempt(policy.act, value)
         assert message == f"observations holds a number of size {max(map(abs, value)):g}: must be at most 1e+09"
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_a_policy_gets_the_goal_or_what_is_still_to_change(relative):
+    """Of a context of two states, the first; the masked dimension of a goal is zero."""
+
+    class Noted:
+        def __init__(self):
+            self.goals = []
+
+        def act(self, observations, actions, goal, noise, memory):
+            self.goals.append(goal[0, 0])
+            return torch.zeros(1, 2)
+
+    method, state = Noted(), np.arange(WIDTH) / 100
+    policy = Policy(LoadedModel(method, replace(SCALING, relative_goals=relative), 2), CPU)
+    policy.reset(3 * state)
+    for i in range(3):
+        policy.act(i * state)
+    scaled = torch.tensor([0.0, 0.1, 0.0, 0.4])
+    for goal, first in zip(method.goals, (0, 0, 1), strict=True):
+        assert torch.allclose(goal, (3 - first if relative else 3) * scaled)
 
 
 @pytest.fixture

@@ -94,6 +94,19 @@ def test_samples_are_the_scaled_rows_of_their_indices(make, data, spec):
         assert torch.equal(batch.goal[i], scaling.scale_goals(goals))
 
 
+def test_relative_goals_are_goals_less_the_windows_first_state(data, spec):
+    episodes, config = np.arange(len(LENGTHS)), WindowConfig(3, 2)
+    absolute, relative = (
+        Windows(data, episodes, Scaling.fit(data, episodes, spec, relative), config) for relative in (False, True)
+    )
+    given, seen = (windows.sample(20, torch.Generator().manual_seed(0)) for windows in (absolute, relative))
+    kept = [i for i in range(given.goal.shape[-1]) if i not in spec.goal_masked]
+    assert spec.goal_masked
+    assert torch.equal(seen.goal[..., kept], (given.goal - given.observations[:, :1])[..., kept])
+    assert (seen.goal[..., spec.goal_masked] == 0).all()
+    assert torch.equal(seen.observations, given.observations)
+
+
 def test_a_sample_is_decided_by_its_generator(make):
     windows = make()
     torch.manual_seed(0)

@@ -66,15 +66,15 @@ def run(folder, frames, tmp_path):
 def join(folder, frames, make_job):
     """join(method) -> policy with encoder, and its windows of the first three episodes."""
 
-    def join(name="c_beso"):
+    def join(name="c_beso", relative_goals=False):
         job = make_job(name)
         model, episodes = job.config.model, np.arange(3)
         policy = methods.load(name).Method(model, None, SPEC.sizes, torch_generator(0, "initial weights"))
-        scaling = Scaling.fit(frames, episodes, SPEC)
+        scaling = Scaling.fit(frames, episodes, SPEC, relative_goals)
         config = WindowConfig(model.window, 1, model.lookahead)
         windows = Windows(frames, episodes, scaling, config)
         policy.prepare(windows.actions, 0)
-        return finetuned.join(policy, folder, frames, episodes).train(), windows
+        return finetuned.join(policy, folder, frames, episodes, scaling).train(), windows
 
     return join
 
@@ -150,6 +150,18 @@ def test_features_are_normalised_and_in_the_order_of_the_steps(join, frames):
     assert torch.equal(features[0, 0], features[1, 1])
     encode = encoder.FrameEncoder(model.encoder, ENCODING, CPU)
     assert np.allclose(encode(frames.observations[[5, 2, 9]]), features[[0, 0, 1], [0, 1, 0]], atol=1e-4)
+
+
+def test_relative_goals_are_features_less_the_first_states(join):
+    passed = []
+    for relative in (False, True):
+        model, windows = join("c_beso", relative)
+        model.eval()
+        model.policy.loss = lambda batch, generator: passed.append(batch) or batch.observations.sum()
+        model.loss(windows.sample(4, generator()), generator())
+    absolute, relative = passed
+    assert torch.equal(relative.observations, absolute.observations)
+    assert torch.equal(relative.goal, absolute.goal - absolute.observations[:, :1])
 
 
 def test_states_after_the_window_get_no_gradient(join):
