@@ -210,4 +210,4 @@ def run(targets: Sequence[str], jobs: int) -> None:
         done += len(steps)
     if stale := plan(targets):
         raise UserError(f"still out of date: {', '.join(stale)}; something changed meanwhile, run again")
-    print(f"{done} stages brought up to date")
+    print(f"{done} {'stage' if done == 1 else 'stages'} brought up to date")
