@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
 import pandas as pd
 
 from beso import envs
@@ -55,19 +56,28 @@ def seeds(params: Params, environment: str) -> str:
 def main_rows(params: Params, comparison: pd.DataFrame) -> list[dict[str, Any]]:
     """Rows of the main table: environment, metric, whose numbers, and a cell `mean (+- std)` a method.
 
-    The paper's numbers stand there also for cells that this run does not have.
+    The paper's numbers stand there also for cells that this run does not have. Where it has none of cells, the first of
+    a study stands for them.
     """
-    numbers = comparison[comparison["study"].isna()].drop_duplicates(CELL).set_index(CELL)
+    of_cells = comparison[comparison["study"].isna()].drop_duplicates(CELL).set_index(CELL)
+    stated = comparison[comparison["paper"].notna()].sort_values("study", key=pd.Series.notna, kind="stable")
+    numbers = {"ours": of_cells, "paper": stated.drop_duplicates(CELL).set_index(CELL)}
     rows = []
     for env in params.envs:
         goal_sets, room = params.environments[env].evaluation.goals, envs.report(env)
-        lines = [(goals, "ours", f"ours, {room.GOAL_LABELS[goals]}") for goals in goal_sets]
         for metric in room.METRICS:
-            for goals, of, whose in [*lines, (goal_sets[0], "paper", "paper")]:
-                keys = [(env, metric.name, method, goals) for method in main_methods(params)]
-                cells = numbers.reindex(keys)[[of, f"{of}_std"]].to_numpy(dtype=float).tolist()
-                row = {"environment": room.LABEL, "metric": metric.label, "whose": whose, "cells": cells}
-                rows.append(row | {"first": whose == lines[0][2]})
+            lines = {}
+            for of, table in numbers.items():
+                for goals in goal_sets:
+                    keys = [(env, metric.name, method, goals) for method in main_methods(params)]
+                    cells = table.reindex(keys)[[of, f"{of}_std"]].to_numpy(dtype=float)
+                    if of == "ours" or not np.isnan(cells).all():
+                        lines[of, goals] = cells.tolist()
+            alone = sum(of == "paper" for of, _ in lines) == 1
+            for i, ((of, goals), cells) in enumerate(lines.items()):
+                whose = of if of == "paper" and alone else f"{of}, {room.GOAL_LABELS[goals]}"
+                row = {"environment": room.LABEL, "metric": metric.label, "whose": whose}
+                rows.append(row | {"cells": cells, "first": i == 0})
     return rows
 
 
