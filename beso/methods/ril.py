@@ -26,13 +26,11 @@ class Config(ModelConfig):
     Attributes:
         width, layers: neurons a hidden layer and number of hidden layers.
         horizon: steps from a state to its sub-goal; the low level learns every distance up to it.
-        relative_sub_goals: the low level gets sub-goals less the state.
     """
 
     width: int
     layers: int
     horizon: int
-    relative_sub_goals: bool
 
     def __post_init__(self) -> None:
         require_positive(self, "width", "layers", "horizon")
@@ -68,17 +66,12 @@ class Method(nn.Module, BaseMethod):
     def __init__(self, config: Config, sampling: Sampling | None, sizes: Sizes, generator: torch.Generator) -> None:
         super().__init__()
         self.horizon, self.replan = config.horizon, sampling.replan if sampling else 1
-        self.relative = config.relative_sub_goals
         state, goal = sizes.observation, sizes.observation * sizes.goal_window
         self.high = MLP(state + goal, state, config.width, config.layers, 0.0, generator)
         self.low = MLP(state + state, sizes.action, config.width, config.layers, 0.0, generator)
 
     def _propose(self, observation: Tensor, goal: Tensor) -> Tensor:
         return self.high(torch.cat([observation, goal.flatten(1)], dim=1))
-
-    def _reach(self, observation: Tensor, sub_goal: Tensor) -> Tensor:
-        seen = sub_goal - observation if self.relative else sub_goal
-        return self.low(torch.cat([observation, seen], dim=1))
 
     def loss(self, batch: Batch, generator: torch.Generator) -> Tensor:
         """Mean squared errors of sub-goal and action, added; no parameter is in both.
@@ -90,7 +83,7 @@ class Method(nn.Module, BaseMethod):
         proposed = self._propose(state, batch.goal)
         sub_goal = batch.future[rows, batch.goal_step.clamp(max=self.horizon) - 1]
         ahead = torch.randint(self.horizon, (len(rows),), generator=generator, device=rows.device)
-        action = self._reach(state, batch.future[rows, ahead])
+        action = self.low(torch.cat([state, batch.future[rows, ahead]], dim=1))
         high = functional.mse_loss(proposed.float(), sub_goal)
         return high + functional.mse_loss(action.float(), batch.actions[:, -1])
 
@@ -100,4 +93,4 @@ class Method(nn.Module, BaseMethod):
         proposed = self._propose(state, goal)
         sub_goal = torch.where(replans(memory, self.replan, state), proposed, memory.get("sub_goal", proposed))
         memory["sub_goal"] = sub_goal
-        return self._reach(state, sub_goal)
+        return self.low(torch.cat([state, sub_goal], dim=1))

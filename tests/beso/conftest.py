@@ -54,7 +54,7 @@ MODELS = {
         "null_goal": "learned",
     },
     "c_ibc": {"width": 32, "layers": 2, "counter_examples": 8, "energy_penalty": 0.005, "gradient_penalty": 1.0},
-    "ril": {"width": 32, "layers": 2, "horizon": 4, "relative_sub_goals": False},
+    "ril": {"width": 32, "layers": 2, "horizon": 4},
     "lmp": {
         "window": 4,
         "plan": 4,

@@ -5,8 +5,8 @@ from beso.methods import ril
 from tests.beso.methods import SIZES, batch
 
 
-def make(replan=3, horizon=4, relative=False):
-    config = ril.Config(width=16, layers=2, horizon=horizon, relative_sub_goals=relative)
+def make(replan=3, horizon=4):
+    config = ril.Config(width=16, layers=2, horizon=horizon)
     return ril.Method(config, ril.Sampling(replan), SIZES, torch.Generator().manual_seed(0)).eval()
 
 
@@ -21,18 +21,6 @@ def test_sub_goals_are_kept_until_the_next_plan():
             proposed = method._propose(observations[:, -1], goal)
             assert torch.equal(sub_goals[-1], proposed if i % 3 == 0 else sub_goals[-2])
             assert torch.equal(action, method.low(torch.cat([observations[:, -1], sub_goals[-1]], dim=1)))
-
-
-def test_the_low_level_may_get_sub_goals_less_the_state_in_training_and_rollouts():
-    method, seen, data = make(relative=True), [], batch(1, 1)
-    ahead = torch.randint(4, (1,), generator=torch.Generator().manual_seed(0))
-    method.low.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
-    method.loss(data, torch.Generator().manual_seed(0))
-    state, memory = data.observations[:, -1], {}
-    assert torch.equal(seen[0], torch.cat([state, data.future[:, ahead.item()] - state], dim=1))
-    with torch.no_grad():
-        method.act(data.observations, torch.zeros(1, 0, 2), data.goal, None, memory)
-    assert torch.equal(seen[1], torch.cat([state, memory["sub_goal"] - state], dim=1))
 
 
 def test_levels_learn_their_relabelled_targets():
@@ -64,4 +52,4 @@ def test_impossible_values_are_refused():
     with pytest.raises(ValueError, match="replan = 0: must be at least 1"):
         ril.Sampling(0)
     with pytest.raises(ValueError, match="horizon = 0: must be at least 1"):
-        ril.Config(16, 2, 0, False)
+        ril.Config(16, 2, 0)
