@@ -48,7 +48,8 @@ network = TransformerConfig(64, 3, 4, window=1, attention_dropout=0.0, residual_
 noise = DiffusionConfig(0.5, 0.05, 1.0, "log_logistic", location=math.log(0.5), scale=0.5, action_range=1.0)
 optimization = OptimizationConfig(options.steps, 256, "muon", 2e-3, 0.01, "cosine", ema_decay=0.99, precision="fp32")
 config = TrainingConfig(Config(network, noise, final_goals=0.0), optimization)
-job = TrainingJob("c_beso", config, ValidationConfig(every=100, windows=256), 0.9, None, False, root_seed=0, seed=1)
+validation = ValidationConfig(every=100, windows=256)
+job = TrainingJob("c_beso", config, validation, 0.9, goal_horizon=None, relative_goals=False, root_seed=0, seed=1)
 trained = train(job, dataset, spec, torch.device("cpu"), out / "unfinished.safetensors")
 checkpoint.save(out / "model", job, spec.sizes, trained, play.data_digest(dataset))
 
